@@ -1,0 +1,47 @@
+"""Receiver operating characteristic of a statistic: all thresholds at once."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Roc(NamedTuple):
+    """`threshold (N,)` ascending, probability of detection `p_detection (N,)` and of false alarm
+    `p_false_alarm (N,)` when still is declared below the threshold, and the area under the curve."""
+
+    threshold: np.ndarray
+    p_detection: np.ndarray
+    p_false_alarm: np.ndarray
+    auc: float
+
+    def at_false_alarm(self, probability: float) -> float:
+        """The largest threshold whose false-alarm probability does not exceed this."""
+        return float(self.threshold[max(np.searchsorted(self.p_false_alarm, probability, "right") - 1, 0)])
+
+    def at_detection(self, probability: float) -> float:
+        """The smallest threshold that detects with at least this probability."""
+        at = np.searchsorted(self.p_detection, probability, "left")
+        return float(self.threshold[min(at, len(self.threshold) - 1)])
+
+
+def roc(statistic: np.ndarray, still: np.ndarray) -> Roc:
+    """ROC of `statistic (T,)` (small means still) against labels `still (T,)` bool.
+
+    The thresholds lie just above each distinct value of the statistic, so the curve is exact; its area is
+    the probability that a still sample has the smaller statistic, ties counted half.
+    """
+    statistic, still = np.asarray(statistic, float), np.asarray(still, bool)
+    if statistic.shape != still.shape or statistic.ndim != 1:
+        raise ValueError(f"statistic {statistic.shape} and labels {still.shape} must both be (T,)")
+    if still.all() or not still.any():
+        raise ValueError("an ROC needs both still and moving samples among the labels")
+    order = np.argsort(np.where(np.isnan(statistic), np.inf, statistic), kind="stable")
+    ordered, labels = statistic[order], still[order]
+    last_of_value = np.append(np.flatnonzero(np.diff(ordered) > 0), len(ordered) - 1)
+    detected = np.cumsum(labels)[last_of_value] / labels.sum()
+    false_alarm = np.cumsum(~labels)[last_of_value] / (~labels).sum()
+    threshold = np.nextafter(ordered[last_of_value], np.inf)
+    auc = np.trapezoid(np.append(0.0, detected), np.append(0.0, false_alarm))
+    return Roc(threshold, detected, false_alarm, float(auc))

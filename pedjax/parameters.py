@@ -1,0 +1,244 @@
+"""Parameters: a tree of physical values that carries unit, bounds, scale and source of each.
+
+A group is a frozen dataclass made with `@parameters`. Its `leaf` fields are numbers (or arrays over lanes)
+and are what JAX sees and gradients reach; its `setting` fields are fixed choices, part of the tree's
+structure, so that another choice compiles another program. Groups nest, and every leaf or setting is named
+by its dotted path, `stance.shoe.threshold`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal, TypeVar, dataclass_transform
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from pedjax.errors import InputError, suggest
+
+P = TypeVar("P")
+
+
+@dataclasses.dataclass(frozen=True)
+class Spec:
+    """What is known of a leaf: `unit`, bounds `low` to `high`, the `scale` it is searched on, its `source`."""
+
+    unit: str
+    low: float
+    high: float
+    scale: Literal["log", "linear"]
+    source: str
+
+    def to_free(self, value: ArrayLike) -> Array:
+        """The unconstrained number of a value; a step of 1 is about one e-fold, or a tenth of the range."""
+        fraction = (self._forward(value) - self._start) / self._range
+        fraction = jnp.clip(fraction, 1e-4, 1 - 1e-4)
+        return (jnp.log(fraction) - jnp.log1p(-fraction)) / self._gain
+
+    def from_free(self, free: ArrayLike) -> Array:
+        """The value of an unconstrained number, always inside the bounds."""
+        inner = self._start + self._range * jax.nn.sigmoid(self._gain * jnp.asarray(free))
+        return jnp.exp(inner) if self.scale == "log" else inner
+
+    def between(self, fraction: ArrayLike) -> Array:
+        """The value at that fraction of the way from `low` to `high`, on the leaf's own scale."""
+        inner = self._start + self._range * jnp.asarray(fraction)
+        return jnp.exp(inner) if self.scale == "log" else inner
+
+    def _forward(self, value: ArrayLike) -> Array:
+        return jnp.log(jnp.asarray(value)) if self.scale == "log" else jnp.asarray(value)
+
+    @property
+    def _start(self) -> float:
+        return float(np.log(self.low)) if self.scale == "log" else self.low
+
+    @property
+    def _range(self) -> float:
+        return (float(np.log(self.high)) if self.scale == "log" else self.high) - self._start
+
+    @property
+    def _gain(self) -> float:
+        return 4.0 / self._range if self.scale == "log" else 0.4
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice:
+    """What is known of a setting: the allowed `choices` (empty: any value of its type) and its `source`."""
+
+    choices: tuple[Any, ...]
+    source: str
+
+
+def leaf(
+    value: float,
+    *,
+    unit: str,
+    low: float,
+    high: float,
+    scale: Literal["log", "linear"] = "log",
+    source: str,
+) -> Any:
+    """A number that can be tuned."""
+    if not low <= value <= high or (scale == "log" and low <= 0):
+        raise ValueError(f"default {value} or bounds {low} to {high} do not fit a {scale} scale")
+    return dataclasses.field(default=value, metadata={"spec": Spec(unit, low, high, scale, source)})
+
+
+def setting(value: Any, *, choices: tuple[Any, ...] = (), source: str = "") -> Any:
+    """A fixed choice (a name, a switch, a window length): changing it compiles another program."""
+    return dataclasses.field(default=value, metadata={"choice": Choice(choices, source)})
+
+
+def group(cls: type[P]) -> P:
+    """A nested group with its own defaults."""
+    return dataclasses.field(default_factory=cls, metadata={"group": True})
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(leaf, setting, group))
+def parameters(cls: type[P]) -> type[P]:
+    """Make a class of `leaf`, `setting` and `group` fields a frozen dataclass that JAX treats as a tree."""
+    made = dataclasses.dataclass(frozen=True)(cls)
+    fields = dataclasses.fields(made)  # type: ignore[arg-type]
+    data = [f.name for f in fields if "choice" not in f.metadata]
+    meta = [f.name for f in fields if "choice" in f.metadata]
+    return jax.tree_util.register_dataclass(made, data, meta)
+
+
+def _walk(tree: Any, prefix: str = "") -> Iterator[tuple[str, Any, Spec | Choice]]:
+    for f in dataclasses.fields(tree):
+        value, path = getattr(tree, f.name), prefix + f.name
+        if "group" in f.metadata:
+            yield from _walk(value, path + ".")
+        else:
+            yield path, value, f.metadata.get("spec") or f.metadata["choice"]
+
+
+def specs(tree: Any) -> dict[str, Spec]:
+    """Dotted path to `Spec` of every leaf."""
+    return {path: about for path, _, about in _walk(tree) if isinstance(about, Spec)}
+
+
+def choices(tree: Any) -> dict[str, Choice]:
+    """Dotted path to `Choice` of every setting."""
+    return {path: about for path, _, about in _walk(tree) if isinstance(about, Choice)}
+
+
+def values(tree: Any) -> dict[str, Any]:
+    """Dotted path to value of every leaf and setting."""
+    return {path: value for path, value, _ in _walk(tree)}
+
+
+def get(tree: Any, path: str) -> Any:
+    """The value at a dotted path; an unknown one is an `InputError` with a suggestion."""
+    known = values(tree)
+    if path not in known:
+        raise InputError(f"parameter '{path}' is unknown{suggest(path, known)}")
+    return known[path]
+
+
+def with_leaves(tree: P, new: Mapping[str, Any]) -> P:
+    """The tree with the leaves at those paths replaced, unchecked: for use under `jit` and with lanes."""
+
+    def rebuild(node: Any, prefix: str) -> Any:
+        changes = {}
+        for f in dataclasses.fields(node):
+            path = prefix + f.name
+            if path in new:
+                changes[f.name] = new[path]
+            elif "group" in f.metadata and any(p.startswith(path + ".") for p in new):
+                changes[f.name] = rebuild(getattr(node, f.name), path + ".")
+        return dataclasses.replace(node, **changes)
+
+    return rebuild(tree, "")
+
+
+def replace(tree: P, new: Mapping[str, Any], origin: str = "parameters") -> P:
+    """The tree with the values at those paths replaced, checked against bounds, choices and types.
+
+    `origin` names the source of the values (a file, an option) in the error.
+    """
+    known = {path: (value, about) for path, value, about in _walk(tree)}
+    checked = {}
+    for path, value in new.items():
+        if path not in known:
+            raise InputError(f"{origin}: parameter '{path}' is unknown{suggest(path, known)}")
+        old, about = known[path]
+        if isinstance(about, Spec):
+            checked[path] = _checked_leaf(path, value, about, origin)
+        else:
+            checked[path] = _checked_setting(path, value, old, about, origin)
+    return with_leaves(tree, checked)
+
+
+def _checked_leaf(path: str, value: Any, spec: Spec, origin: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{origin}: {path} = {value!r} is not a number; its unit is {spec.unit}") from None
+    slack = 1e-9 * max(abs(spec.low), abs(spec.high)) if spec.scale == "linear" else 0.0
+    if not spec.low * (1 - 1e-9) - slack <= number <= spec.high * (1 + 1e-9) + slack:
+        raise InputError(
+            f"{origin}: {path} = {number:g} {spec.unit} is outside its bounds, {spec.low:g} to {spec.high:g}"
+        )
+    return number
+
+
+def _checked_setting(path: str, value: Any, old: Any, about: Choice, origin: str) -> Any:
+    if about.choices and value not in about.choices:
+        known = [str(c) for c in about.choices]
+        raise InputError(f"{origin}: {path} = {value!r} is not a choice{suggest(str(value), known)}")
+    if isinstance(old, bool) != isinstance(value, bool):
+        raise InputError(f"{origin}: {path} = {value!r} must be of the same kind as its default, {old!r}")
+    if isinstance(old, float) and isinstance(value, int | float):
+        if not np.isfinite(value) or value < 0:
+            raise InputError(f"{origin}: {path} = {value!r} must be a number that is not negative")
+        return float(value)
+    if not isinstance(value, type(old)):
+        raise InputError(f"{origin}: {path} = {value!r} must be of the same kind as its default, {old!r}")
+    return value
+
+
+def cast(tree: P, dtype: Any) -> P:
+    """Every leaf as an array of that dtype."""
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype), tree)
+
+
+def to_nested(tree: Any) -> dict[str, Any]:
+    """Plain nested dictionaries of floats and settings, ready for TOML or JSON."""
+    nested: dict[str, Any] = {}
+    for path, value, about in _walk(tree):
+        *groups, name = path.split(".")
+        node = nested
+        for key in groups:
+            node = node.setdefault(key, {})
+        node[name] = float(value) if isinstance(about, Spec) else value
+    return nested
+
+
+def flatten(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Dotted paths of nested dictionaries, as they come from TOML."""
+    flat: dict[str, Any] = {}
+    for key, value in nested.items():
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{prefix}{key}.")
+        else:
+            flat[prefix + key] = value
+    return flat
+
+
+def table(tree: Any) -> str:
+    """One line for each leaf and setting: path, value, unit, bounds, source."""
+    rows = []
+    for path, value, about in _walk(tree):
+        if isinstance(about, Spec):
+            bounds = f"{about.low:g} to {about.high:g}, {about.scale}"
+            rows.append((path, f"{float(value):.6g}", about.unit, bounds, about.source))
+        else:
+            allowed = " | ".join(str(c) for c in about.choices)
+            rows.append((path, str(value), "setting", allowed, about.source))
+    widths = [max(len(row[i]) for row in rows) for i in range(4)]
+    return "\n".join("  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[4]]) for row in rows)

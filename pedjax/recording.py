@@ -1,0 +1,177 @@
+"""One walk: named sensors with their own clocks, landmarks and optional truth, checked when it is made.
+
+Conventions (docs/conventions.md): navigation frame ENU, specific force points up at rest, SI units,
+magnetic field in microtesla. Everything here is numpy in float64 and lives at the edge; the filters see
+only the arrays of an `Inertial`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from pedjax.errors import InputError, suggest
+
+STANDARD_GRAVITY = 9.80665
+"""m/s^2, the conversion of g."""
+
+Clock = Literal["stamps", "uniform", "resample"]
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Samples of one instrument on its own clock: `time (T,)` in s, `values (T, D)`."""
+
+    time: np.ndarray
+    values: np.ndarray
+
+    @property
+    def rate(self) -> float:
+        """Median sampling rate in Hz."""
+        steps = np.diff(self.time)
+        return float(1.0 / np.median(steps[steps > 0]))
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One inertial unit at one place on the body.
+
+    `accelerometer` is specific force in m/s^2, `gyroscope` rad/s, `magnetometer` microtesla, all in the
+    same body axes. `up` names the body axis that points up in the usual stance ("+z", "-z", ...) where
+    the reader knows it: only then can a flipped accelerometer be told from a flipped mounting.
+    """
+
+    accelerometer: Stream
+    gyroscope: Stream
+    magnetometer: Stream | None = None
+    up: str | None = None
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Surveyed points: `time (K,)` s on the recording's clock, `position (K, 3)` m in a right-handed
+    frame with z up; an unknown coordinate is NaN (a stair landmark knows only its height)."""
+
+    time: np.ndarray
+    position: np.ndarray
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Dense reference: `time (T,)` s, `position (T, 3)` m right-handed z up (NaN where lost), and
+    optionally `quaternion (T, 4)`, scalar first, body to navigation."""
+
+    time: np.ndarray
+    position: np.ndarray
+    quaternion: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One walk. Making it checks it; what is wrong is an `InputError`, what is odd a line in `findings`."""
+
+    name: str
+    sensors: Mapping[str, Sensor]
+    landmarks: Landmarks | None = None
+    truth: Truth | None = None
+    clock: Clock = "stamps"
+    format: str = "arrays"
+    notes: tuple[str, ...] = ()
+    findings: tuple[str, ...] = field(default=(), init=False)
+
+    def __post_init__(self) -> None:
+        from pedjax import checks
+
+        object.__setattr__(self, "findings", (*self.notes, *checks.check(self)))
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last inertial sample of the longest sensor."""
+        return max(float(s.gyroscope.time[-1] - s.gyroscope.time[0]) for s in self.sensors.values())
+
+    def sensor(self, name: str = "foot") -> Sensor:
+        """The sensor of that name."""
+        if name in self.sensors:
+            return self.sensors[name]
+        raise InputError(f"{self.name}: there is no sensor '{name}'{suggest(name, self.sensors)}")
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """A sensor's samples on one clock, as a filter takes them (numpy, float64, time first).
+
+    `time (T,)` s, `dt (T,)` s (the step that ends at each sample; the first is the median step),
+    `specific_force (T, 3)`, `angular_rate (T, 3)`, `magnetic_field (T, 3)` microtesla or None.
+    """
+
+    time: np.ndarray
+    dt: np.ndarray
+    specific_force: np.ndarray
+    angular_rate: np.ndarray
+    magnetic_field: np.ndarray | None = None
+
+    @property
+    def rate(self) -> float:
+        """Median sampling rate in Hz."""
+        return float(1.0 / np.median(self.dt))
+
+    def crop(self, start: int, stop: int) -> Inertial:
+        """Samples `start` to `stop` (exclusive)."""
+        cut = slice(start, stop)
+        field_ = None if self.magnetic_field is None else self.magnetic_field[cut]
+        return replace(
+            self,
+            time=self.time[cut],
+            dt=self.dt[cut],
+            specific_force=self.specific_force[cut],
+            angular_rate=self.angular_rate[cut],
+            magnetic_field=field_,
+        )
+
+
+def _without_duplicates(stream: Stream) -> Stream:
+    keep = np.concatenate([[True], np.diff(stream.time) > 0])
+    return Stream(stream.time[keep], stream.values[keep])
+
+
+def _interpolate(stream: Stream, time: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(time, stream.time, column) for column in stream.values.T], axis=-1)
+
+
+def inertial(recording: Recording, sensor: str = "foot", clock: Clock | None = None) -> Inertial:
+    """Put a sensor's streams on the gyroscope's clock, without duplicate stamps.
+
+    `clock` says how to read the time stamps: `stamps` takes them as they are (true dt), `uniform` takes
+    the samples as evenly spaced and the stamps as late arrivals (a straight line is fitted), `resample`
+    interpolates onto an even grid. Default: what the reader chose for this format.
+    """
+    source = recording.sensor(sensor)
+    gyroscope = source.gyroscope
+    accelerometer = source.accelerometer
+    clock = clock or recording.clock
+    same = np.array_equal(gyroscope.time, accelerometer.time)
+    gyroscope, accelerometer = _without_duplicates(gyroscope), _without_duplicates(accelerometer)
+    time, rate, force = gyroscope.time, gyroscope.values, accelerometer.values
+    if not same:  # keep only where both streams exist: no extrapolation
+        inside = (time >= accelerometer.time[0]) & (time <= accelerometer.time[-1])
+        time, rate = time[inside], rate[inside]
+        force = _interpolate(accelerometer, time)
+    if clock == "uniform":
+        step = (time[-1] - time[0]) / (len(time) - 1)
+        time = time[0] + step * np.arange(len(time))
+    elif clock == "resample":
+        step = float(np.median(np.diff(time)))
+        grid = time[0] + step * np.arange(int((time[-1] - time[0]) / step) + 1)
+        rate, force = _interpolate(Stream(time, rate), grid), _interpolate(Stream(time, force), grid)
+        time = grid
+    elif clock != "stamps":
+        raise InputError(f"clock '{clock}' is unknown{suggest(clock, ('stamps', 'uniform', 'resample'))}")
+    magnetic = None
+    if source.magnetometer is not None:
+        magnetic = _interpolate(_without_duplicates(source.magnetometer), time)
+    steps = np.diff(time)
+    dt = np.concatenate([[np.median(steps)], steps])
+    return Inertial(time, dt, force, rate, magnetic)

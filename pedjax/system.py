@@ -1,0 +1,53 @@
+"""What an estimator is: four pure functions over a parameter tree. Tuning, sweeping and plots know no more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from jax import Array
+
+from pedjax.filters.strapdown import Navigation
+
+
+class Inputs(NamedTuple):
+    """What a system's `prepare` makes of a recording.
+
+    `samples` is a tree with time first and the lanes, if any, last; `opening` is what the first instant
+    needs (such as the mean force of the first still samples), without a time axis. Neither depends on a
+    tunable number, so that every parameter set of a sweep shares them.
+    """
+
+    samples: Any
+    opening: Any
+
+
+class Output(NamedTuple):
+    """What a step reports beside its state, lanes last; the caller keeps what it needs of it.
+
+    `stance` is the weight of the zero-velocity update, `log_ratio` the stance statistic over its threshold
+    (log), `variances (15, *L)` the diagonal of the covariance.
+    """
+
+    navigation: Navigation
+    stance: Array
+    log_ratio: Array
+    variances: Array
+    healthy: Array
+
+
+class System(NamedTuple):
+    """A published estimator.
+
+    `defaults()` gives its parameters; `prepare(parameters, force (T, 3), rate (T, 3), dt (T,), rate_hz,
+    length)` its `Inputs`, from the settings alone (samples from `length` on are padding, with dt = 0); `start(parameters, opening)` the first state; and
+    `step(parameters, state, sample)` the next state and an `Output`. All but `defaults` are pure and take
+    leaves with any trailing lanes.
+    """
+
+    name: str
+    title: str
+    defaults: Callable[[], Any]
+    prepare: Callable[..., Inputs]
+    start: Callable[[Any, Any], Any]
+    step: Callable[[Any, Any, Any], tuple[Any, Output]]

@@ -1,0 +1,18 @@
+"""The systems by name: one file each, nothing but the assembly of the parts."""
+
+from __future__ import annotations
+
+from pedjax.errors import InputError, suggest
+from pedjax.system import System
+from pedjax.systems.iez import IEZ
+
+SYSTEMS: dict[str, System] = {IEZ.name: IEZ}
+
+
+def system(name: str | System) -> System:
+    """The system of that name; an unknown one is an `InputError` with a suggestion."""
+    if isinstance(name, System):
+        return name
+    if name not in SYSTEMS:
+        raise InputError(f"system '{name}' is unknown{suggest(name, SYSTEMS)}")
+    return SYSTEMS[name]

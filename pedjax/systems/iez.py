@@ -1,0 +1,186 @@
+"""IEZ: inertial navigation with a 15-state error-state EKF and zero-velocity updates (INS-EKF-ZUPT).
+
+Published defaults: stance detector and filter noises of OpenShoe and PyShoe (both use the same), bias states
+of OpenShoe. Sources in the parameters below.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from pedjax import rotations
+from pedjax.detectors import stance
+from pedjax.filters import covariance, measurements, strapdown
+from pedjax.filters.covariance import Covariance, ProcessNoise
+from pedjax.filters.strapdown import Navigation
+from pedjax.gates import gate
+from pedjax.lanes import align, lane_shape
+from pedjax.parameters import group, leaf, parameters, setting
+from pedjax.system import Inputs, Output, System
+
+_OPENSHOE = "OpenShoe"
+_KIT = "kit choice"
+_DEGREE = 0.017453292519943295
+_PER_ROOT_HZ = 200.0**-0.5  # OpenShoe's per-sample deviations, at the 200 Hz of PyShoe's published runs
+
+
+@parameters
+class Gate:
+    """How the stance statistic becomes a weight."""
+
+    kind: str = setting("fixed", choices=("fixed", "adaptive"), source="fixed: published")
+    width: float = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: the published hard test")
+    straight_through: bool = setting(False, source=_KIT)
+    rise: float = leaf(0.0, unit="1", low=0.0, high=20.0, scale="linear", source="0: published")
+    rise_time: float = leaf(0.3, unit="s", low=0.01, high=10.0, source=_KIT)
+    growth: float = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: published")
+    floor: float = leaf(0.0, unit="1", low=-20.0, high=20.0, scale="linear", source="0: published")
+
+
+@parameters
+class Process:
+    """Process noise as densities, and the correlation times of the biases."""
+
+    accelerometer: float = leaf(
+        0.5 * _PER_ROOT_HZ, unit="m/s^2/sqrt(Hz)", low=1e-5, high=10.0, source=f"{_OPENSHOE}: 0.5 a sample"
+    )
+    gyroscope: float = leaf(
+        0.5 * _DEGREE * _PER_ROOT_HZ, unit="rad/s/sqrt(Hz)", low=1e-7, high=0.1,
+        source=f"{_OPENSHOE}: 0.5 deg/s a sample",
+    )  # fmt: skip
+    accelerometer_bias: float = leaf(
+        1e-7 / _PER_ROOT_HZ, unit="m/s^3/sqrt(Hz)", low=1e-9, high=1.0, source=f"{_OPENSHOE}: 1e-7 a sample"
+    )
+    gyroscope_bias: float = leaf(
+        1e-7 / _PER_ROOT_HZ * _DEGREE, unit="rad/s^2/sqrt(Hz)", low=1e-10, high=0.1,
+        source=f"{_OPENSHOE}: 1e-7 deg/s a sample",
+    )  # fmt: skip
+    accelerometer_bias_time: float = leaf(1e6, unit="s", low=1.0, high=1e9, source="kit choice: random walk")
+    gyroscope_bias_time: float = leaf(1e6, unit="s", low=1.0, high=1e9, source="kit choice: random walk")
+
+
+@parameters
+class Initial:
+    """Standard deviations of the first state, and how it is levelled."""
+
+    attitude: float = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=_OPENSHOE)
+    heading_sigma: float = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=3.2, source=_OPENSHOE)
+    gyroscope_bias: float = leaf(0.3 * _DEGREE, unit="rad/s", low=1e-8, high=0.1, source=_OPENSHOE)
+    accelerometer_bias: float = leaf(0.3, unit="m/s^2", low=1e-6, high=3.0, source=_OPENSHOE)
+    position: float = leaf(1e-5, unit="m", low=1e-9, high=10.0, source=_OPENSHOE)
+    velocity: float = leaf(1e-5, unit="m/s", low=1e-9, high=10.0, source=_OPENSHOE)
+    heading: float = leaf(0.0, unit="rad", low=-6.3, high=6.3, scale="linear", source="0: yaw is free")
+    levelling_s: float = setting(0.1, source="PyShoe: the first 20 samples at 200 Hz")
+
+
+@parameters
+class Updates:
+    """Measurement noises, and which rows are on."""
+
+    zero_velocity: float = leaf(0.01, unit="m/s", low=1e-5, high=10.0, source=_OPENSHOE)
+    zero_angular_rate: float = leaf(0.05, unit="rad/s", low=1e-5, high=10.0, source=_KIT)
+    zaru: bool = setting(False, source="not part of IEZ")
+    attitude_update: str = setting("exponential", choices=strapdown.ATTITUDE_UPDATES, source=_KIT)
+
+
+@parameters
+class IezParameters:
+    """All parameters of IEZ."""
+
+    gravity: float = leaf(9.8029, unit="m/s^2", low=9.7, high=9.9, scale="linear", source="PyShoe")
+    stance: stance.StanceParameters = group(stance.StanceParameters)
+    gate: Gate = group(Gate)
+    updates: Updates = group(Updates)
+    process: Process = group(Process)
+    initial: Initial = group(Initial)
+
+
+class Sample(NamedTuple):
+    """One sample: `dt` s, `force (3,)` m/s^2, `rate (3,)` rad/s, and the stance evidence `(windows, m)`."""
+
+    dt: Array
+    force: Array
+    rate: Array
+    evidence: Array
+
+
+class State(NamedTuple):
+    """Estimate, covariance, seconds since the last update (soft), and whether all was finite so far."""
+
+    navigation: Navigation
+    P: Covariance
+    elapsed: Array
+    healthy: Array
+
+
+def prepare(
+    p: IezParameters, force: Array, rate: Array, dt: Array, rate_hz: float, length: ArrayLike | None = None
+) -> Inputs:
+    """Stance evidence of every sample, and the mean force of the first samples for levelling."""
+    found = stance.evidence(p.stance, force, rate, rate_hz, length)
+    first = max(round(p.initial.levelling_s * rate_hz), 1)
+    return Inputs(Sample(dt, force, rate, found), jnp.mean(force[:first], axis=0))
+
+
+def start(p: IezParameters, opening: Array) -> State:
+    """Levelled by the first samples, heading given, at rest at the origin."""
+    shape = lane_shape(p, opening[0])
+    like = jnp.zeros(shape, opening.dtype)
+    ones = jnp.ones((3, *shape), opening.dtype)
+    force = align(opening, 1, len(shape)) * ones
+    nav = strapdown.still_at_origin(rotations.levelled(force, p.initial.heading + like))
+    tilt_and_heading = jnp.stack([x + like for x in (p.initial.attitude, p.initial.attitude, p.initial.heading_sigma)])
+    deviations = {
+        "t": tilt_and_heading,
+        "g": p.initial.gyroscope_bias * ones,
+        "p": p.initial.position * ones,
+        "v": p.initial.velocity * ones,
+        "a": p.initial.accelerometer_bias * ones,
+    }
+    return State(nav, covariance.diagonal(deviations), like, jnp.ones(shape, bool))
+
+
+def step(p: IezParameters, state: State, sample: Sample) -> tuple[State, Output]:
+    """Mechanise, predict, and update with zero velocity as far as the gate opens."""
+    nav, lanes = state.navigation, state.elapsed.ndim
+    dt, force, rate = align(sample.dt, 0, lanes), align(sample.force, 1, lanes), align(sample.rate, 1, lanes)
+    evidence = align(sample.evidence, 2, lanes)
+
+    corrected_force, corrected_rate = force - nav.accelerometer_bias, rate - nav.gyroscope_bias
+    nav, middle, force_n = strapdown.mechanise(
+        nav, corrected_force, corrected_rate, dt, p.gravity, p.updates.attitude_update
+    )
+    noise = ProcessNoise(
+        p.process.gyroscope,
+        p.process.accelerometer,
+        p.process.gyroscope_bias,
+        p.process.accelerometer_bias,
+        p.process.gyroscope_bias_time,
+        p.process.accelerometer_bias_time,
+    )
+    P = covariance.predict(state.P, middle, force_n, dt, noise)
+
+    published = stance.log_ratio(p.stance, evidence, p.gravity)
+    log_ratio, sigma = published, p.updates.zero_velocity
+    if p.gate.kind == "adaptive":
+        log_ratio = published - p.gate.rise * jnp.log1p(state.elapsed / p.gate.rise_time)
+        sigma = sigma * jnp.exp(p.gate.growth * jnp.logaddexp(published - p.gate.floor, 0.0))
+    weight = gate(log_ratio, p.gate.width, p.gate.straight_through)
+    P, correction = covariance.update(P, measurements.zero_velocity(nav, sigma), weight)
+    nav = measurements.correct(nav, correction)
+    if p.updates.zaru:
+        rows = measurements.zero_angular_rate(nav, rate, p.updates.zero_angular_rate)
+        P, correction = covariance.update(P, rows, weight)
+        nav = measurements.correct(nav, correction)
+
+    elapsed = (1 - weight) * (state.elapsed + dt)
+    healthy = state.healthy & jnp.isfinite(jnp.sum(nav.velocity, 0)) & covariance.is_positive(P)
+    state = State(nav, P, elapsed, healthy)
+    return state, Output(nav, weight, log_ratio, covariance.variances(P), healthy)
+
+
+IEZ = System("iez", "INS-EKF-ZUPT", IezParameters, prepare, start, step)
