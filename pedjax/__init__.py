@@ -1,0 +1,21 @@
+"""Differentiable pedestrian dead reckoning in JAX."""
+
+from pedjax.errors import InputError
+from pedjax.evaluation import landmark_errors, roc
+from pedjax.recording import Inertial, Landmarks, Recording, Sensor, Stream, Truth, inertial
+from pedjax.runtime import configure
+from pedjax.running import Track, run
+from pedjax.scoring import Score, evaluate
+from pedjax.simulation import demo_walk
+from pedjax.sources import read_any as read
+from pedjax.sweeping import Sweep, design, sweep
+from pedjax.systems import SYSTEMS, system
+from pedjax.tuning import Tuned, TuneSettings, split, tune
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "SYSTEMS", "Inertial", "InputError", "Landmarks", "Recording", "Score", "Sensor", "Stream", "Sweep",
+    "Track", "Truth", "TuneSettings", "Tuned", "__version__", "configure", "demo_walk", "design", "evaluate",
+    "inertial", "landmark_errors", "read", "roc", "run", "split", "sweep", "system", "tune",
+]  # fmt: skip

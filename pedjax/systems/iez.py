@@ -24,21 +24,29 @@ from pedjax.system import Inputs, Output, System
 
 _OPENSHOE = "OpenShoe"
 _KIT = "kit choice"
+_FAR = 10.0  # log units beyond which a statistic says nothing more: bounds a missing window's influence
 _DEGREE = 0.017453292519943295
 _PER_ROOT_HZ = 200.0**-0.5  # OpenShoe's per-sample deviations, at the 200 Hz of PyShoe's published runs
 
 
 @parameters
 class Gate:
-    """How the stance statistic becomes a weight."""
+    """How the stance statistic becomes a weight, and how far its stance is believed.
+
+    `fixed` is the published test against one threshold. `adaptive` is causal and follows the gait: the log
+    threshold moves by `follow` times the recent level of the log statistic (a first-order average over
+    `follow_time`), so that a runner's foot, never as still as a stroller's, is found still too; and the
+    standard deviation of the zero velocity grows as (1 + statistic/(threshold e^floor))^growth, since a foot
+    that turns also moves. follow = 0 and growth = 0 is `fixed`.
+    """
 
     kind: str = setting("fixed", choices=("fixed", "adaptive"), source="fixed: published")
     width: float = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: the published hard test")
     straight_through: bool = setting(False, source=_KIT)
-    rise: float = leaf(0.0, unit="1", low=0.0, high=20.0, scale="linear", source="0: published")
-    rise_time: float = leaf(0.3, unit="s", low=0.01, high=10.0, source=_KIT)
-    growth: float = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: published")
-    floor: float = leaf(0.0, unit="1", low=-20.0, high=20.0, scale="linear", source="0: published")
+    follow: float = leaf(0.0, unit="1", low=-0.5, high=1.5, scale="linear", source="0: published")
+    follow_time: float = leaf(0.6, unit="s", low=0.05, high=30.0, source=_KIT)
+    growth: float = leaf(0.0, unit="1", low=-0.5, high=3.0, scale="linear", source="0: published")
+    floor: float = leaf(0.0, unit="1", low=-10.0, high=10.0, scale="linear", source=_KIT)
 
 
 @parameters
@@ -109,11 +117,11 @@ class Sample(NamedTuple):
 
 
 class State(NamedTuple):
-    """Estimate, covariance, seconds since the last update (soft), and whether all was finite so far."""
+    """Estimate, covariance, recent level of the log statistic, and whether all was finite so far."""
 
     navigation: Navigation
     P: Covariance
-    elapsed: Array
+    level: Array
     healthy: Array
 
 
@@ -146,7 +154,7 @@ def start(p: IezParameters, opening: Array) -> State:
 
 def step(p: IezParameters, state: State, sample: Sample) -> tuple[State, Output]:
     """Mechanise, predict, and update with zero velocity as far as the gate opens."""
-    nav, lanes = state.navigation, state.elapsed.ndim
+    nav, lanes = state.navigation, state.level.ndim
     dt, force, rate = align(sample.dt, 0, lanes), align(sample.force, 1, lanes), align(sample.rate, 1, lanes)
     evidence = align(sample.evidence, 2, lanes)
 
@@ -165,10 +173,12 @@ def step(p: IezParameters, state: State, sample: Sample) -> tuple[State, Output]
     P = covariance.predict(state.P, middle, force_n, dt, noise)
 
     published = stance.log_ratio(p.stance, evidence, p.gravity)
-    log_ratio, sigma = published, p.updates.zero_velocity
+    level, log_ratio, sigma = state.level, published, p.updates.zero_velocity
     if p.gate.kind == "adaptive":
-        log_ratio = published - p.gate.rise * jnp.log1p(state.elapsed / p.gate.rise_time)
-        sigma = sigma * jnp.exp(p.gate.growth * jnp.logaddexp(published - p.gate.floor, 0.0))
+        bounded = jnp.clip(published, -_FAR, _FAR)
+        level = level + dt / (dt + p.gate.follow_time) * (bounded - level)
+        log_ratio = published - p.gate.follow * level
+        sigma = sigma * jnp.exp(p.gate.growth * jnp.logaddexp(bounded - p.gate.floor, 0.0))
     weight = gate(log_ratio, p.gate.width, p.gate.straight_through)
     P, correction = covariance.update(P, measurements.zero_velocity(nav, sigma), weight)
     nav = measurements.correct(nav, correction)
@@ -177,9 +187,8 @@ def step(p: IezParameters, state: State, sample: Sample) -> tuple[State, Output]
         P, correction = covariance.update(P, rows, weight)
         nav = measurements.correct(nav, correction)
 
-    elapsed = (1 - weight) * (state.elapsed + dt)
     healthy = state.healthy & jnp.isfinite(jnp.sum(nav.velocity, 0)) & covariance.is_positive(P)
-    state = State(nav, P, elapsed, healthy)
+    state = State(nav, P, level, healthy)
     return state, Output(nav, weight, log_ratio, covariance.variances(P), healthy)
 
 

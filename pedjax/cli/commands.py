@@ -1,0 +1,424 @@
+"""What each command does: read, compute, write, say."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from pedjax import __version__, parameters, plots
+from pedjax.config import Config, load, override, resolve, resolved, sweep_settings, tune_settings
+from pedjax.detectors.stance import DETECTORS
+from pedjax.errors import InputError, suggest
+from pedjax.labels import still_labels
+from pedjax.output import folder, write_figure, write_json, write_table, write_toml
+from pedjax.recording import Recording, inertial
+from pedjax.roc import detector_roc
+from pedjax.running import Track, run as run_system
+from pedjax.scoring import Score, evaluate
+from pedjax.sources import read_all
+from pedjax.sweeping import design
+from pedjax.sweeping import sweep as sweep_sets
+from pedjax.tuning import fingerprint, split
+from pedjax.tuning import tune as tune_system
+
+
+def _config(args: argparse.Namespace) -> Config:
+    config = Config()
+    tuned_on: tuple[str, ...] = ()
+    for path in args.config:
+        later = load(path)
+        tuned_on += later.tuned_on
+        merged = {**parameters.flatten(config.parameters), **parameters.flatten(later.parameters)}
+        config = replace(later, parameters=merged, recordings=later.recordings or config.recordings)
+    config = replace(config, tuned_on=tuned_on)
+    for name in ("system", "sensor", "clock", "alignment", "seed", "out"):
+        if getattr(args, name, None) is not None:
+            config = replace(config, **{name: getattr(args, name)})
+    if args.recordings:
+        config = replace(config, recordings=tuple(args.recordings))
+    if getattr(args, "held_back", None):
+        config = replace(config, held_back=tuple(args.held_back))
+    if getattr(args, "split", None) is not None:
+        config = replace(config, split=args.split)
+    if getattr(args, "names", None):
+        config = replace(config, tune={**config.tune, "names": list(args.names)})
+    if args.no_figures:
+        config = replace(config, figures=False)
+    config = override(config, args.set)
+    if not config.recordings:
+        raise InputError("no recording was given; name files, or demo:0 for a walk made by the package")
+    return config
+
+
+def _say(*lines: str) -> None:
+    print(*lines, sep="\n", flush=True)
+
+
+def info(args: argparse.Namespace) -> int:
+    """What each file holds; raw signals as pictures where --out is given."""
+    if not args.recordings:
+        raise InputError("no recording was given; name files, or demo:0 for a walk made by the package")
+    recordings = read_all(args.recordings, args.format, args.sensor)
+    out = folder(args.out) if args.out else None
+    described = []
+    for path, recording in zip(args.recordings, recordings, strict=True):
+        _say(*_describe(path, recording))
+        sensors = {n: {"rate_hz": s.gyroscope.rate} for n, s in recording.sensors.items()}
+        described.append(
+            {"path": path, "format": recording.format, "duration_s": recording.duration, "sensors": sensors,
+             "findings": list(recording.findings)}
+        )  # fmt: skip
+        if out is not None and not args.no_figures:
+            for name in recording.sensors:
+                target = out / f"{_stem(recording)}_{name}_signals.png"
+                write_figure(target, plots.raw_signals(recording, name))
+                _say(f"  drawn: {target}")
+    if out is not None:
+        write_json(out / "info.json", {"pedjax_version": __version__, "recordings": described})
+    return 0
+
+
+def _describe(path: str, recording: Recording) -> list[str]:
+    lines = [f"{path}: {recording.format}, {recording.duration:.1f} s"]
+    for name, sensor in recording.sensors.items():
+        streams = [("accelerometer", sensor.accelerometer, "m/s²"), ("gyroscope", sensor.gyroscope, "rad/s")]
+        if sensor.magnetometer is not None:
+            streams.append(("magnetometer", sensor.magnetometer, "µT"))
+        lines.append(f"  sensor '{name}':")
+        for kind, stream, unit in streams:
+            size = np.linalg.norm(stream.values, axis=1)
+            lines.append(
+                f"    {kind:13} {len(stream.time):7d} samples at {stream.rate:.1f} Hz, "
+                f"norm {np.median(size):.3g} (median), {size.max():.3g} (largest) {unit}"
+            )
+    if recording.landmarks is not None:
+        known = np.isfinite(recording.landmarks.position).sum(axis=0)
+        lines.append(
+            f"  {len(recording.landmarks.time)} landmarks (x known at {known[0]}, y at {known[1]}, z at {known[2]})"
+        )
+    if recording.truth is not None:
+        orientation = " with orientation" if recording.truth.quaternion is not None else ""
+        lines.append(f"  dense truth: {len(recording.truth.time)} positions{orientation}")
+    lines.append(f"  read with clock = '{recording.clock}'")
+    lines += [f"  look at: {finding}" for finding in recording.findings] or ["  nothing looks wrong"]
+    return lines
+
+
+def run(args: argparse.Namespace) -> int:
+    """Tracks, errors, tables and pictures."""
+    config = _config(args)
+    out = folder(config.out)
+    chosen, params = resolve(config)
+    recordings = read_all(config.recordings, args.format)
+    entries = []
+    for path, recording in zip(config.recordings, recordings, strict=True):
+        track = run_system(recording, chosen, params, sensor=config.sensor, clock=config.clock)
+        score = evaluate(track, recording, config.alignment)
+        entry = _entry(path, track, score)
+        if fingerprint(recording) in config.tuned_on:
+            entry["tuned_on"] = True
+        entries.append(entry)
+        _say(_line(path, track, score, entry.get("tuned_on", False)))
+        write_table(out / f"{_stem(recording)}_track.csv", _columns(track))
+        if config.figures:
+            picture = plots.trajectory(track, recording, score, config.alignment)
+            write_figure(out / f"{_stem(recording)}_trajectory.png", picture)
+            write_figure(
+                out / f"{_stem(recording)}_stance.png", plots.stance_over_signals(track, recording, config.sensor)
+            )
+    _metrics(out, config, entries)
+    write_toml(out / "config.toml", resolved(config, params, tuned_on=list(config.tuned_on)))
+    _say(f"results in {out}")
+    return 0
+
+
+def _stem(recording: Recording) -> str:
+    return Path(recording.name.replace(":", "_")).name.removesuffix(".gz").rsplit(".", 1)[0]
+
+
+def _columns(track: Track) -> dict[str, Sequence[Any]]:
+    columns: dict[str, Sequence[Any]] = {"time_s": track.time.tolist()}
+    for name, values, unit in (
+        ("position", track.position, "m"),
+        ("velocity", track.velocity, "m_per_s"),
+    ):
+        columns |= {f"{name}_{a}_{unit}": v.tolist() for a, v in zip("xyz", values.T, strict=True)}
+    columns |= {
+        f"{a}_rad": v.tolist() for a, v in zip(("roll", "pitch", "yaw"), track.euler.T, strict=True)
+    }
+    columns["stance"] = track.stance.tolist()
+    columns["sigma_horizontal_m"] = np.hypot(track.sigma[:, 6], track.sigma[:, 7]).tolist()
+    columns["sigma_yaw_rad"] = track.sigma[:, 2].tolist()
+    return columns
+
+
+def _entry(path: str, track: Track, score: Score | None) -> dict[str, Any]:
+    notes = [*track.warnings, *(score.warnings if score is not None else ())]
+    entry: dict[str, Any] = {
+        "path": str(path),
+        "distance_m": track.distance,
+        "duration_s": float(track.time[-1] - track.time[0]),
+        "healthy": track.healthy,
+        "stance_fraction": float((track.stance > 0.5).mean()),
+    }
+    if score is not None:
+        entry["landmarks"] = {k: v for k, v in score.as_dict().items() if k != "warnings"}
+    if notes:
+        entry["warnings"] = notes
+    return entry
+
+
+def _line(path: str, track: Track, score: Score | None, tuned_on: bool = False) -> str:
+    text = f"{path}: {track.distance:.1f} m in {track.time[-1] - track.time[0]:.1f} s"
+    if score is not None and score.rms_2d_m is not None:
+        text += (
+            f", RMS {score.rms_2d_m:.3f} m, final {score.final_2d_m:.3f} m "
+            f"({score.percent_of_distance or 0:.2f} % of the distance), {score.count} points, {score.alignment}"
+        )
+    if tuned_on:
+        text += " [tuned on this recording]"
+    if not track.healthy:
+        text += " [NOT HEALTHY]"
+    for note in (*track.warnings, *(score.warnings if score is not None else ())):
+        text += f"\n  look at: {note}"
+    return text
+
+
+def _metrics(out: Path, config: Config, entries: list[dict[str, Any]], **extra: Any) -> None:
+    whole = {"pedjax_version": __version__, "system": config.system, "seed": config.seed}
+    write_json(out / "metrics.json", {**whole, **extra, "recordings": entries})
+
+
+def tune(args: argparse.Namespace) -> int:
+    """Tuned parameters, errors before and after, history, pictures."""
+    config = _config(args)
+    settings = tune_settings(config)
+    chosen, params = resolve(config)
+    out = folder(config.out)
+    recordings = read_all(config.recordings, args.format)
+    held = read_all(config.held_back, args.format)
+    paths, held_paths = list(config.recordings), list(config.held_back)
+    if config.split is not None:
+        first, second = split(recordings, config.split, config.seed)
+        held_paths += [paths[i] for i in second]
+        held += [recordings[i] for i in second]
+        paths, recordings = [paths[i] for i in first], [recordings[i] for i in first]
+    with tqdm(total=settings.iterations, unit="step", disable=not sys.stderr.isatty()) as bar:
+
+        def progress(iteration: int, total: int, best: float) -> None:
+            bar.n = iteration
+            bar.set_postfix_str(f"best {best:.3f} m")
+            bar.refresh()
+            if not sys.stderr.isatty():
+                _say(f"step {iteration} of {total}: best {best:.4f} m")
+
+        tuned = tune_system(
+            recordings, settings, chosen, params,
+            held_back=held, sensor=config.sensor, clock=config.clock, progress=progress,
+        )  # fmt: skip
+    given = [*config.tuned_on, *tuned.fingerprints]
+    write_toml(
+        out / "tuned.toml",
+        resolved(replace(config, recordings=(), held_back=(), split=None), tuned.params, tuned_on=given),
+        f"tuned by pedjax {__version__} on {len(recordings)} recordings: {', '.join(settings.names)}",
+    )
+    write_toml(out / "config.toml", resolved(config, params, tune=_tune_section(settings)))
+    entries = []
+    for group, group_paths, group_recordings in (
+        ("tuned_on", paths, recordings),
+        ("held_back", held_paths, held),
+    ):
+        for path, recording in zip(group_paths, group_recordings, strict=True):
+            track = run_system(recording, chosen, tuned.params, sensor=config.sensor, clock=config.clock)
+            score = evaluate(track, recording, config.alignment)
+            entries.append({**_entry(path, track, score), "part": group})
+            if config.figures and len(entries) <= 12:
+                first_track = run_system(recording, chosen, params, sensor=config.sensor, clock=config.clock)
+                picture = plots.trajectory(track, recording, score, config.alignment, ("before", first_track))
+                write_figure(out / f"{_stem(recording)}_trajectory.png", picture)
+    before, after = _summary(tuned.before), _summary(tuned.after)
+    _metrics(
+        out, config, entries, loss=settings.loss, before=before, after=after, filter_runs=tuned.runs,
+        tuned={n: {"from": float(parameters.get(params, n)), "to": v} for n, v in tuned.values.items()},
+    )  # fmt: skip
+    write_table(out / "history.csv", _history(tuned.history))
+    if config.figures:
+        write_figure(out / "tuning.png", plots.tuning_history(tuned))
+    for name, value in tuned.values.items():
+        unit = parameters.specs(params)[name].unit
+        _say(f"  {name}: {float(parameters.get(params, name)):.4g} to {value:.4g} {unit}")
+    for group in before:
+        _say(
+            f"{group.replace('_', ' ')} ({before[group]['count']} recordings): mean {settings.loss} "
+            f"{_metres(before[group]['mean_m'])} before, {_metres(after[group]['mean_m'])} after"
+        )
+    _say(f"filter runs: {tuned.runs['gradients']} gradients, {tuned.runs['hard']} hard", f"results in {out}")
+    return 0
+
+
+def _metres(value: float | None) -> str:
+    return "diverged" if value is None or not np.isfinite(value) else f"{value:.4f} m"
+
+
+def _tune_section(settings: Any) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(settings).items()}
+
+
+def _summary(report: dict[str, dict[str, float]]) -> dict[str, Any]:
+    return {
+        group: {
+            "count": len(each),
+            "mean_m": float(np.mean(list(each.values()))),
+            "median_m": float(np.median(list(each.values()))),
+            "worst_m": float(np.max(list(each.values()))),
+            "each_m": each,
+        }
+        for group, each in report.items()
+    }
+
+
+def _history(history: list[dict[str, Any]]) -> dict[str, list[Any]]:
+    rows: dict[str, list[Any]] = {}
+    for row in history:
+        for start, training in enumerate(row["training"]):
+            line = {"iteration": row["iteration"], "start": start, "training_m": training}
+            if "validation" in row:
+                line["validation_m"] = row["validation"][start]
+            line |= {name: v[start] for name, v in row["values"].items()}
+            for key, value in line.items():
+                rows.setdefault(key, []).append(value)
+    return rows
+
+
+def sweep(args: argparse.Namespace) -> int:
+    """Errors of a design of parameter sets."""
+    config = _config(args)
+    settings = sweep_settings(config)
+    chosen, params = resolve(config)
+    out = folder(config.out)
+    recordings = read_all(config.recordings, args.format)
+    values = design(params, settings.ranges, settings.count, settings.design, config.seed)
+    with tqdm(total=settings.count, unit="set", disable=not sys.stderr.isatty()) as bar:
+
+        def progress(done: int, total: int) -> None:
+            bar.n = done
+            bar.refresh()
+
+        alignment = "yaw_translation" if config.alignment == "auto" else config.alignment
+        found = sweep_sets(
+            recordings, values, chosen, params, loss=settings.loss, alignment=alignment,
+            sensor=config.sensor, clock=config.clock, progress=progress,
+        )  # fmt: skip
+    columns: dict[str, Sequence[Any]] = {path: v.tolist() for path, v in values.items()}
+    columns["mean_m"] = found.mean.tolist()
+    columns |= {name: found.loss[:, r].tolist() for r, name in enumerate(found.names)}
+    write_table(out / "sweep.csv", columns)
+    best = {path: float(v[found.best]) for path, v in values.items()}
+    at_best = parameters.replace(params, best)
+    write_toml(
+        out / "best.toml",
+        resolved(
+            replace(config, recordings=(), held_back=(), split=None),
+            at_best,
+            tuned_on=[*config.tuned_on, *(fingerprint(r) for r in recordings)],
+        ),
+        f"best of {len(found.mean)} parameter sets, chosen on {len(recordings)} recordings",
+    )
+    entries = []
+    for path, recording in zip(config.recordings, recordings, strict=True):
+        track = run_system(recording, chosen, at_best, sensor=config.sensor, clock=config.clock)
+        entries.append({**_entry(path, track, evaluate(track, recording, config.alignment)), "tuned_on": True})
+    _metrics(
+        out, config, entries, loss=settings.loss, sets=len(found.mean), best=best, best_mean_m=found.mean[found.best]
+    )
+    write_toml(out / "config.toml", resolved(config, params, sweep={**vars(settings), "ranges": dict(settings.ranges)}))
+    if config.figures:
+        specs = parameters.specs(params)
+        log = {p for p in values if specs[p].scale == "log"}
+        write_figure(out / "sweep.png", plots.sweep_map(found, log, {p: specs[p].unit for p in values}))
+    shown = ", ".join(f"{p} = {v:.4g}" for p, v in best.items())
+    _say(f"{len(found.mean)} sets: best mean {settings.loss} {_metres(float(found.mean[found.best]))} at {shown}")
+    _say(f"results in {out}")
+    return 0
+
+
+def roc(args: argparse.Namespace) -> int:
+    """ROC of stance detectors; labels from the truth's velocity."""
+    config = _config(args)
+    _, params = resolve(config)
+    out = folder(config.out)
+    names = args.detectors or list(DETECTORS)
+    for name in names:
+        if name not in DETECTORS:
+            raise InputError(f"detector '{name}' is unknown{suggest(name, DETECTORS)}")
+    if not 0 < args.false_alarm < 1:
+        raise InputError(f"--false-alarm {args.false_alarm:g} must lie between 0 and 1")
+    recordings = read_all(config.recordings, args.format)
+    samples = [inertial(r, config.sensor, config.clock) for r in recordings]
+    labels = [still_labels(r, i, args.still_below) for r, i in zip(recordings, samples, strict=True)]
+    curves = {name: detector_roc(params, name, samples, labels) for name in names}
+    points = {
+        name: {
+            "auc": curve.auc,
+            "false_alarm": args.false_alarm,
+            "threshold": curve.at_false_alarm(args.false_alarm),
+            "p_detection": float(
+                np.interp(args.false_alarm, curve.p_false_alarm, curve.p_detection)
+            ),
+        }
+        for name, curve in curves.items()
+    }
+    for name, curve in curves.items():
+        every = max(len(curve.threshold) // 2000, 1)
+        write_table(
+            out / f"roc_{name}.csv",
+            {
+                "threshold": curve.threshold[::every].tolist(),
+                "p_false_alarm": curve.p_false_alarm[::every].tolist(),
+                "p_detection": curve.p_detection[::every].tolist(),
+            },
+        )
+        _say(
+            f"{name:6} AUC {curve.auc:.4f}; at {args.false_alarm:.0%} false alarm: threshold "
+            f"{points[name]['threshold']:.4g}, detection {points[name]['p_detection']:.3f}"
+        )
+    entries = [
+        {"path": str(p), "duration_s": r.duration, "still_fraction": float(x.mean())}
+        for p, r, x in zip(config.recordings, recordings, labels, strict=True)
+    ]
+    _metrics(out, config, entries, roc=points, still_below_m_per_s=args.still_below)
+    if config.figures:
+        write_figure(out / "roc.png", plots.roc_curve(curves))
+    _say(f"results in {out}")
+    return 0
+
+
+def show_parameters(args: argparse.Namespace) -> int:
+    """The parameters of a system as a table."""
+    config = Config()
+    for path in args.config:
+        config = replace(load(path))
+    if args.system is not None:
+        config = replace(config, system=args.system)
+    _, params = resolve(override(config, args.set))
+    _say(parameters.table(params))
+    return 0
+
+
+COMMANDS = {
+    "info": info,
+    "run": run,
+    "tune": tune,
+    "sweep": sweep,
+    "roc": roc,
+    "parameters": show_parameters,
+}

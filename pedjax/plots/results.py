@@ -1,0 +1,95 @@
+"""Tuning, ROC and sweeps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pedjax.evaluation.roc import Roc
+from pedjax.sweeping.engine import Sweep
+
+if TYPE_CHECKING:
+    from pedjax.tuning import Tuned
+
+
+def tuning_history(tuned: Tuned) -> Figure:
+    """Hard-gate loss of every start over iterations, and the errors before and after."""
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    curve, pairs = figure.subplots(1, 2, width_ratios=[3, 2])
+    rows = [row for row in tuned.history if row["iteration"] >= 0]
+    steps = [row["iteration"] for row in rows]
+    for key, style in (("training", "-"), ("validation", "--")):
+        if rows and key in rows[0]:
+            for s, series in enumerate(zip(*[row[key] for row in rows], strict=True)):
+                label = key if s == 0 else None
+                curve.plot(steps, series, style, marker=".", lw=1, color=f"C{s}", label=label)
+    curve.set_yscale("log")
+    curve.set_xlabel("iteration (a colour a start)")
+    curve.set_ylabel("mean error, hard gate (m)")
+    curve.grid(alpha=0.3, which="both")
+    curve.legend(fontsize=8)
+    for key, colour in (("tuned_on", "C0"), ("held_back", "C1")):
+        if key in tuned.after:
+            before, after = list(tuned.before[key].values()), list(tuned.after[key].values())
+            label = f"{key.replace('_', ' ')}: {np.mean(before):.3f} to {np.mean(after):.3f} m"
+            pairs.plot(before, after, "o", ms=5, color=colour, alpha=0.8, label=label)
+    low, high = pairs.get_xlim()[0], pairs.get_xlim()[1]
+    ends = [max(low, 1e-3), high]
+    pairs.plot(ends, ends, color="0.5", lw=0.8)
+    pairs.set_xscale("log")
+    pairs.set_yscale("log")
+    pairs.set_xlabel("error before (m)")
+    pairs.set_ylabel("error after (m)")
+    pairs.grid(alpha=0.3, which="both")
+    pairs.legend(fontsize=8)
+    figure.suptitle(f"tuning of {len(tuned.names)} parameters")
+    return figure
+
+
+def roc_curve(curves: dict[str, Roc]) -> Figure:
+    """Detection over false alarm, one curve a detector, log and linear."""
+    figure = Figure(figsize=(9, 4.4), layout="constrained")
+    linear, low = figure.subplots(1, 2)
+    for name, roc in curves.items():
+        for ax in (linear, low):
+            ax.plot(roc.p_false_alarm, roc.p_detection, lw=1.3, label=f"{name}, AUC {roc.auc:.4f}")
+    low.set_xscale("log")
+    low.set_xlim(1e-4, 1)
+    for ax in (linear, low):
+        ax.set_xlabel("probability of false alarm")
+        ax.set_ylabel("probability of detection")
+        ax.set_ylim(0, 1.02)
+        ax.grid(alpha=0.3)
+    linear.legend(fontsize=8, loc="lower right")
+    return figure
+
+
+def sweep_map(sweep: Sweep, log_paths: set[str], unit: dict[str, str]) -> Figure:
+    """Mean error over each swept parameter, or over pairs of the first two as colours."""
+    paths = list(sweep.values)
+    finite = np.isfinite(sweep.mean)
+    shown = np.where(finite, sweep.mean, np.nan)
+    figure = Figure(figsize=(4.2 * min(len(paths), 3) + (4.6 if len(paths) > 1 else 0), 4), layout="constrained")
+    axes = figure.subplots(1, min(len(paths), 3) + (len(paths) > 1), squeeze=False)[0]
+    for ax, path in zip(axes, paths, strict=False):
+        ax.plot(sweep.values[path], shown, ".", ms=5)
+        ax.plot(sweep.values[path][sweep.best], shown[sweep.best], "*", ms=13, color="C3")
+        ax.set_xscale("log" if path in log_paths else "linear")
+        ax.set_yscale("log")
+        ax.set_xlabel(f"{path} ({unit[path]})")
+        ax.set_ylabel("mean error (m)")
+        ax.grid(alpha=0.3, which="both")
+    if len(paths) > 1:
+        ax = axes[-1]
+        x, y = sweep.values[paths[0]], sweep.values[paths[1]]
+        dots = ax.scatter(x, y, c=np.log10(shown), s=28, cmap="viridis_r")
+        ax.plot(x[sweep.best], y[sweep.best], "*", ms=13, color="C3")
+        ax.set_xscale("log" if paths[0] in log_paths else "linear")
+        ax.set_yscale("log" if paths[1] in log_paths else "linear")
+        ax.set_xlabel(f"{paths[0]} ({unit[paths[0]]})")
+        ax.set_ylabel(f"{paths[1]} ({unit[paths[1]]})")
+        figure.colorbar(dots, ax=ax, label="log₁₀ mean error (m)")
+    figure.suptitle(f"{len(shown)} parameter sets, best {np.nanmin(shown):.3f} m" if finite.any() else "none finite")
+    return figure

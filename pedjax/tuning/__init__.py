@@ -1,0 +1,6 @@
+"""Tuning: the gradient of a landmark error with respect to any parameter, through the whole filter."""
+
+from pedjax.tuning.loop import Tuned, TuneSettings, tune
+from pedjax.tuning.split import fingerprint, split
+
+__all__ = ["TuneSettings", "Tuned", "fingerprint", "split", "tune"]

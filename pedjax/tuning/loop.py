@@ -1,0 +1,303 @@
+"""Gradient tuning: Adam in unconstrained space on the soft gate, selection on the hard one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from pedjax import parameters
+from pedjax.errors import InputError
+from pedjax.evaluation.landmarks import ALIGNMENTS
+from pedjax.packing import Batch, Walk, pack, walk
+from pedjax.parameters import Spec
+from pedjax.recording import Clock, Recording
+from pedjax.running import check_length
+from pedjax.runtime import double_precision
+from pedjax.system import System
+from pedjax.systems import system as find_system
+from pedjax.tuning import objective
+from pedjax.tuning.objective import LOSSES, Problem, data_of
+from pedjax.tuning.split import fingerprint, refuse_overlap
+
+Progress = Callable[[int, int, float], None]
+"""Called with the iteration, their number, and the best loss so far."""
+
+
+@dataclass(frozen=True)
+class TuneSettings:
+    """How to tune. Defaults suit a dozen walks and up to a dozen parameters.
+
+    `names` dotted paths of leaves; `loss` one of armse, rms_2d, mean_2d, rms_3d, averaged over recordings;
+    `starts` the first at the given parameters, the others scattered by `spread` around it in free units
+    (about e-folds); `grid` thresholds tried on the hard gate before and half-way for each start where a
+    threshold is among the names (0: none); `width` of the soft gate; `patience` checks without a better
+    validation loss before stopping; `validation` part of the tuned-on recordings that chooses the stop and
+    the winner; `mode` reverse or forward differentiation.
+    """
+
+    names: tuple[str, ...]
+    loss: str = "armse"
+    alignment: str = "yaw_translation"
+    iterations: int = 40
+    starts: int = 4
+    spread: float = 0.7
+    grid: int = 9
+    width: float = 0.25
+    straight_through: bool = False
+    learning_rate: float = 0.15
+    clip: float = 1.0
+    validation: float = 0.25
+    check_every: int = 5
+    patience: int = 4
+    mode: str = "reverse"
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What tuning found: `params`, hard-gate loss of each recording `before` and `after` for `tuned_on` and
+    `held_back` (name to m), the `history` (a row per check: iteration, best and all starts' losses), how
+    many filter runs it took (one parameter set over all tuned-on recordings is one), and fingerprints."""
+
+    params: Any
+    names: tuple[str, ...]
+    values: dict[str, float]
+    before: dict[str, dict[str, float]]
+    after: dict[str, dict[str, float]]
+    history: list[dict[str, Any]] = field(repr=False)
+    runs: dict[str, int]
+    fingerprints: tuple[str, ...] = field(repr=False)
+
+
+def tune(
+    recordings: Sequence[Recording],
+    settings: TuneSettings,
+    system: str | System = "iez",
+    params: Any = None,
+    *,
+    held_back: Sequence[Recording] = (),
+    sensor: str = "foot",
+    clock: Clock | None = None,
+    progress: Progress | None = None,
+) -> Tuned:
+    """Tune the named parameters on recordings, report hard-gate errors on them and on held-back ones.
+
+    Runs in float64. A held-back recording that is also tuned on is an `InputError`.
+    """
+    chosen = find_system(system)
+    params = chosen.defaults() if params is None else params
+    specs = _check(settings, params)
+    prints = tuple(fingerprint(r) for r in recordings)
+    refuse_overlap(prints, held_back)
+    walks = walks_for(chosen, params, recordings, sensor, clock)
+    others = walks_for(chosen, params, held_back, sensor, clock)
+    training, validation = _part(len(walks), settings)
+    problem = Problem(chosen, settings.names, settings.loss, settings.alignment)
+    with double_precision():
+        hard = parameters.cast(params, float)
+        everything = pack(chosen, hard, walks)
+        search = _Search(problem, settings, specs, hard, walks, training, validation)
+        best = search.run(progress)
+        tuned = parameters.with_leaves(params, best)
+        held = pack(chosen, hard, others) if others else None
+        report = partial(_report, problem, settings.names, everything, held)
+        return Tuned(
+            params=tuned,
+            names=settings.names,
+            values=best,
+            before=report(params),
+            after=report(tuned),
+            history=search.history,
+            runs=search.runs,
+            fingerprints=prints,
+        )
+
+
+def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
+    known = parameters.specs(params)
+    if not settings.names:
+        raise InputError("no parameter to tune was named; give dotted paths such as stance.shoe.threshold")
+    for name in settings.names:
+        if name not in known:
+            parameters.get(params, name)  # raises with a suggestion where the path is unknown
+            raise InputError(f"'{name}' is a setting, not a number that can be tuned")
+    if settings.loss not in LOSSES:
+        raise InputError(f"loss '{settings.loss}' is unknown; known are: {', '.join(LOSSES)}")
+    if settings.alignment not in ALIGNMENTS:
+        raise InputError(f"alignment '{settings.alignment}' is unknown; known are: {', '.join(ALIGNMENTS)}")
+    if settings.mode not in ("reverse", "forward"):
+        raise InputError(f"mode '{settings.mode}' is unknown; known are: reverse, forward")
+    if min(settings.iterations, settings.starts, settings.check_every) < 1:
+        raise InputError("iterations, starts and check_every must be at least 1")
+    return {name: known[name] for name in settings.names}
+
+
+def walks_for(
+    system: System, params: Any, recordings: Sequence[Recording], sensor: str, clock: Clock | None
+) -> list[Walk]:
+    """Recordings ready for a filter, refused where they are too short or have nothing to score."""
+    walks = []
+    for recording in recordings:
+        found = walk(recording, sensor, clock)
+        check_length(system, params, found)
+        if len(found.index) < 2:
+            raise InputError(
+                f"{recording.name}: tuning needs at least two landmarks (or dense truth), it has {len(found.index)}"
+            )
+        walks.append(found)
+    return walks
+
+
+def _part(count: int, settings: TuneSettings) -> tuple[list[int], list[int]]:
+    """Tuned-on recordings that give gradients, and those that choose the winner (all, where few)."""
+    size = round(settings.validation * count)
+    if size < 1 or count - size < 1:
+        return list(range(count)), []
+    order = np.random.default_rng(settings.seed + 1).permutation(count)
+    return sorted(order[size:].tolist()), sorted(order[:size].tolist())
+
+
+class _Search:
+    """The state of one tuning, kept on the host between jitted steps."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        settings: TuneSettings,
+        specs: Mapping[str, Spec],
+        params: Any,
+        walks: Sequence[Walk],
+        training: Sequence[int],
+        validation: Sequence[int],
+    ) -> None:
+        self.problem, self.settings, self.specs, self.params = problem, settings, specs, params
+        soft = {"gate.width": settings.width}
+        self.soft = parameters.cast(
+            parameters.replace(params, {**soft, "gate.straight_through": settings.straight_through}), float
+        )
+        chunked = [walks[i] for i in training]
+        self.batch = pack(problem.system, params, chunked)
+        self.check = pack(problem.system, params, [walks[i] for i in validation]) if validation else None
+        self.share = len(training) / len(walks)
+        self.history: list[dict[str, Any]] = []
+        self.runs = {"gradients": 0, "hard": 0}
+
+    def hard_loss(self, values: Mapping[str, Any], batch: Batch) -> np.ndarray:
+        """Hard-gate mean loss `(S,)` of parameter sets."""
+        sets = {k: jnp.asarray(v, float) for k, v in values.items()}
+        each = objective.losses(self.problem, self.params, sets, data_of(batch), batch.slots)
+        return np.asarray(jnp.mean(each, axis=-1))
+
+    def starts(self) -> dict[str, np.ndarray]:
+        """Free numbers of all starts: the first at the given values."""
+        rng = np.random.default_rng(self.settings.seed)
+        s = self.settings.starts
+        free = {}
+        for name, spec in self.specs.items():
+            centre = float(spec.to_free(parameters.get(self.params, name)))
+            scatter = rng.normal(size=s) * self.settings.spread
+            free[name] = centre + np.where(np.arange(s) == 0, 0.0, scatter)
+        return free
+
+    def values(self, free: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        return {name: np.asarray(self.specs[name].from_free(x)) for name, x in free.items()}
+
+    def grid(self, free: dict[str, np.ndarray], width: float) -> dict[str, np.ndarray]:
+        """For each start, the best of a grid of thresholds around it, on the hard gate."""
+        names = [n for n in self.specs if n.endswith("threshold")]
+        for name in names if self.settings.grid > 1 else []:
+            offsets = np.linspace(-width, width, self.settings.grid)
+            tried = {n: np.repeat(x[:, None], len(offsets), axis=1) for n, x in free.items()}
+            tried[name] = tried[name] + offsets
+            flat = {n: x.reshape(-1) for n, x in tried.items()}
+            loss = self.hard_loss(self.values(flat), self.batch).reshape(-1, len(offsets))
+            self.runs["hard"] += loss.size
+            best = np.argmin(np.where(np.isfinite(loss), loss, np.inf), axis=1)
+            free = {**free, name: tried[name][np.arange(len(best)), best]}
+        return free
+
+    def run(self, progress: Progress | None) -> dict[str, float]:
+        settings = self.settings
+        free = self.grid(self.starts(), width=2.5)
+        optimiser = optax.chain(
+            _clip_each(settings.clip), optax.adam(settings.learning_rate, b1=0.8, b2=0.95)
+        )
+        state = optimiser.init({n: jnp.asarray(x) for n, x in free.items()})
+        gradient_of = (
+            objective.soft_loss_and_gradient
+            if settings.mode == "reverse"
+            else objective.soft_loss_and_gradient_forward
+        )
+        given = {n: np.array([float(parameters.get(self.params, n))]) for n in self.specs}
+        best_loss, best = self._judge(given, iteration=-1)[0], given
+        best_values = {n: float(x[0]) for n, x in best.items()}
+        stale = 0
+        data = data_of(self.batch)
+        for iteration in range(settings.iterations + 1):
+            if iteration % settings.check_every == 0 or iteration == settings.iterations:
+                values = self.values(free)
+                loss = self._judge(values, iteration)
+                winner = int(np.argmin(loss))
+                if loss[winner] < best_loss:
+                    best_loss, stale = float(loss[winner]), 0
+                    best_values = {n: float(x[winner]) for n, x in values.items()}
+                else:
+                    stale += 1
+                if progress is not None:
+                    progress(iteration, settings.iterations, float(best_loss))
+                if stale > settings.patience or iteration == settings.iterations:
+                    break
+            free_now = {n: jnp.asarray(x) for n, x in free.items()}
+            _, gradient = gradient_of(self.problem, self.soft, free_now, data, self.batch.slots)
+            self.runs["gradients"] += settings.starts
+            gradient = {n: jnp.where(jnp.isfinite(g), g, 0.0) for n, g in gradient.items()}
+            updates, state = optimiser.update(gradient, state)
+            free = {n: np.asarray(free[n] + updates[n]) for n in free}
+            if iteration == settings.iterations // 2:
+                free = self.grid(free, width=0.8)
+        return best_values
+
+    def _judge(self, values: Mapping[str, np.ndarray], iteration: int) -> np.ndarray:
+        """The loss that selects: hard gate, over training and validation recordings alike."""
+        training = self.hard_loss(values, self.batch)
+        row: dict[str, Any] = {"iteration": iteration, "training": training.tolist()}
+        loss = training
+        if self.check is not None:
+            validation = self.hard_loss(values, self.check)
+            row["validation"] = validation.tolist()
+            loss = self.share * training + (1 - self.share) * validation
+        self.runs["hard"] += len(training)
+        row["values"] = {n: np.asarray(v).tolist() for n, v in values.items()}
+        self.history.append(row)
+        return np.where(np.isfinite(loss), loss, np.inf)
+
+
+def _clip_each(limit: float) -> optax.GradientTransformation:
+    """Clip the gradient of each start by its own norm, so that one wild start does not slow the others."""
+
+    def update(updates: Any, state: Any, params: Any = None) -> tuple[Any, Any]:
+        norm = jnp.sqrt(sum(g * g for g in jax.tree.leaves(updates)) + 1e-30)
+        return jax.tree.map(lambda g: g * jnp.minimum(1.0, limit / norm), updates), state
+
+    return optax.GradientTransformation(lambda params: optax.EmptyState(), update)
+
+
+def _report(
+    problem: Problem, names: tuple[str, ...], tuned_on: Batch, held: Batch | None, params: Any
+) -> dict[str, dict[str, float]]:
+    """Hard-gate loss of every recording."""
+    hard = parameters.cast(params, float)
+    values = {n: jnp.asarray([parameters.get(params, n)], float) for n in names}
+    report = {}
+    for key, batch in (("tuned_on", tuned_on), ("held_back", held)):
+        if batch is not None:
+            each = objective.losses(problem, hard, values, data_of(batch), batch.slots)[0]
+            report[key] = {name: float(x) for name, x in zip(batch.names, np.asarray(each), strict=True)}
+    return report
