@@ -3,8 +3,8 @@
 from pedjax.errors import InputError
 from pedjax.evaluation import landmark_errors, roc
 from pedjax.recording import Inertial, Landmarks, Recording, Sensor, Stream, Truth, inertial
-from pedjax.runtime import configure
 from pedjax.running import Track, run
+from pedjax.runtime import configure
 from pedjax.scoring import Score, evaluate
 from pedjax.simulation import demo_walk
 from pedjax.sources import read_any as read

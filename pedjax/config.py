@@ -67,13 +67,14 @@ _KINDS: dict[str, tuple[type, ...]] = {
 
 
 def load(path: str | Path) -> Config:
-    """Read and check a config; recordings in it are relative to its own folder."""
-    path = Path(path)
+    """Read and check a config, a file or one of those that come with the package (`presets`); recordings
+    in it are relative to its own folder."""
+    path = presets().get(str(path), Path(path))
     try:
         with path.open("rb") as file:
             raw = tomllib.load(file)
     except FileNotFoundError:
-        raise InputError(f"{path}: there is no such config file") from None
+        raise InputError(f"{path}: there is no such config file{suggest(str(path), presets())}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error})") from None
     except tomllib.TOMLDecodeError as error:
@@ -90,6 +91,13 @@ def load(path: str | Path) -> Config:
     config = Config(**raw, origin=str(path))
     check(config)
     return config
+
+
+def presets() -> dict[str, Path]:
+    """Configs that come with the package, by name: `iez`, `iez_adaptive`."""
+    package = Path(__file__).parent
+    homes = (package / "configs", package.parent / "configs")  # installed, or a checkout
+    return {path.stem: path for home in homes for path in sorted(home.glob("*.toml"))}
 
 
 def _beside(home: Path, name: str) -> str:
@@ -121,7 +129,8 @@ def override(config: Config, assignments: Sequence[str]) -> Config:
         parsed = _parse(value.strip())
         head, _, rest = path.strip().partition(".")
         if head in ("tune", "sweep") and rest:
-            config = replace(config, **{head: {**getattr(config, head), rest: parsed}})
+            section = {**getattr(config, head), rest: parsed}
+            config = replace(config, tune=section) if head == "tune" else replace(config, sweep=section)
         else:
             flat = {**parameters.flatten(config.parameters), path.strip(): parsed}
             config = replace(config, parameters=flat)
@@ -185,15 +194,16 @@ def tune_settings(config: Config) -> TuneSettings:
 
 def sweep_settings(config: Config) -> SweepSettings:
     """The config's sweep settings; without ranges, a sensible pair is swept."""
+    _, params = resolve(config)
     given = dict(config.sweep)
     if not given.get("ranges"):
-        _, params = resolve(config)
         detector = params.stance.detector
         first = "stance.eps.energy" if detector == "eps" else f"stance.{detector}.threshold"
         centre = float(parameters.get(params, first))
-        given["ranges"] = {first: [centre / 30, centre * 10], "updates.zero_velocity": [0.003, 0.1]}
+        spec = parameters.specs(params)[first]
+        ends = [max(centre / 30, spec.low), min(centre * 10, spec.high)]
+        given["ranges"] = {first: ends, "updates.zero_velocity": [0.003, 0.1]}
     settings = _settings(SweepSettings, given, config.origin, "sweep")
-    chosen, params = resolve(config)
     specs = parameters.specs(params)
     for path, ends in settings.ranges.items():
         if path not in specs:
@@ -204,9 +214,8 @@ def sweep_settings(config: Config) -> SweepSettings:
         for end in ends:
             parameters.replace(params, {path: end}, f"{config.origin}: sweep.ranges")
     if settings.design not in ("sobol", "grid", "random"):
-        raise InputError(
-            f"{config.origin}: sweep.design = '{settings.design}'{suggest(settings.design, ('sobol', 'grid', 'random'))}"
-        )
+        known = suggest(settings.design, ("sobol", "grid", "random"))
+        raise InputError(f"{config.origin}: sweep.design = '{settings.design}' is unknown{known}")
     return settings
 
 

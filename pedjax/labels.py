@@ -8,7 +8,9 @@ from pedjax.errors import InputError
 from pedjax.recording import Inertial, Recording
 
 
-def still_labels(recording: Recording, imu: Inertial, below: float = 0.1, smooth_s: float = 0.025) -> np.ndarray:
+def still_labels(
+    recording: Recording, imu: Inertial, below: float = 0.1, smooth_s: float = 0.025
+) -> np.ndarray:
     """`(T,)` bool: true speed below `below` m/s, from the dense truth's central differences smoothed over
     `smooth_s`. Samples outside the truth are not still."""
     truth = recording.truth

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -73,7 +73,7 @@ def write_toml(path: Path, value: dict[str, Any], heading: str = "") -> None:
     atomic(path, lambda f: f.write(text.encode()))
 
 
-def write_table(path: Path, columns: dict[str, Sequence[Any]]) -> None:
+def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
     """CSV with a header row; numbers to nine digits."""
     names = list(columns)
     lines = [",".join(names)]

@@ -1,4 +1,4 @@
-"""Many recordings as one batch: laid end to end in equal columns, with the points at which they are scored."""
+"""Many recordings as one batch: end to end in equal columns, with the points where they are scored."""
 
 from __future__ import annotations
 
@@ -74,6 +74,11 @@ def reference_of(position: np.ndarray, dtype: Any = float) -> Reference:
     )
 
 
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["packed", "reference", "rows", "columns", "closing"],
+    meta_fields=["names", "slots"],
+)
 @dataclass(frozen=True)
 class Batch:
     """Recordings packed for `filtering.scan_points`, and how to read its `Points` back.
@@ -83,13 +88,17 @@ class Batch:
     """
 
     names: tuple[str, ...]
-    packed: Packed
     slots: int
+    packed: Packed
     reference: Reference
-    rows: np.ndarray
-    columns: np.ndarray
-    closing: np.ndarray
-    steps: int
+    rows: Array
+    columns: Array
+    closing: Array
+
+    @property
+    def steps(self) -> int:
+        """Filter steps of one run over the batch, padding included."""
+        return int(self.packed.slot.size)
 
     def estimates(self, points: Points) -> Array:
         """Positions at the scored points, `(K, 3, *S, R)` for points with lanes `(*S, C)`."""
@@ -199,10 +208,9 @@ def pack(
         packed=packed,
         slots=slots,
         reference=Reference(*(jnp.asarray(x, dtype) for x in (position, *known))),
-        rows=chunk_of_point * slots + slot_of_point,
-        columns=np.array([placed[r][0] for r in range(len(walks))]),
-        closing=np.array([placed[r][1] + chunks_of[r] - 1 for r in range(len(walks))]),
-        steps=chunks * chunk * count,
+        rows=jnp.asarray(chunk_of_point * slots + slot_of_point),
+        columns=jnp.asarray([placed[r][0] for r in range(len(walks))]),
+        closing=jnp.asarray([placed[r][1] + chunks_of[r] - 1 for r in range(len(walks))]),
     )
 
 

@@ -25,7 +25,7 @@ P = TypeVar("P")
 
 @dataclasses.dataclass(frozen=True)
 class Spec:
-    """What is known of a leaf: `unit`, bounds `low` to `high`, the `scale` it is searched on, its `source`."""
+    """What is known of a leaf: `unit`, bounds `low` to `high`, `scale` it is searched on, `source`."""
 
     unit: str
     low: float
@@ -98,7 +98,7 @@ def group(cls: type[P]) -> P:
     return dataclasses.field(default_factory=cls, metadata={"group": True})
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(leaf, setting, group))
+@dataclass_transform(frozen_default=True, kw_only_default=True)
 def parameters(cls: type[P]) -> type[P]:
     """Make a class of `leaf`, `setting` and `group` fields a frozen dataclass that JAX treats as a tree."""
     made = dataclasses.dataclass(frozen=True)(cls)
@@ -241,4 +241,6 @@ def table(tree: Any) -> str:
             allowed = " | ".join(str(c) for c in about.choices)
             rows.append((path, str(value), "setting", allowed, about.source))
     widths = [max(len(row[i]) for row in rows) for i in range(4)]
-    return "\n".join("  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[4]]) for row in rows)
+    return "\n".join(
+        "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[4]]) for row in rows
+    )

@@ -21,6 +21,12 @@ STANDARD_GRAVITY = 9.80665
 Clock = Literal["stamps", "uniform", "resample"]
 
 
+def _rate(steps: np.ndarray) -> float:
+    """Mean rate over all steps that are no gaps: a median would mistake jittering stamps."""
+    usual = steps[steps < 10 * np.median(steps[steps > 0])]
+    return float(len(usual) / usual.sum())
+
+
 @dataclass(frozen=True)
 class Stream:
     """Samples of one instrument on its own clock: `time (T,)` in s, `values (T, D)`."""
@@ -30,9 +36,8 @@ class Stream:
 
     @property
     def rate(self) -> float:
-        """Median sampling rate in Hz."""
-        steps = np.diff(self.time)
-        return float(1.0 / np.median(steps[steps > 0]))
+        """Sampling rate in Hz, gaps left out."""
+        return _rate(np.diff(self.time))
 
 
 @dataclass(frozen=True)
@@ -115,8 +120,8 @@ class Inertial:
 
     @property
     def rate(self) -> float:
-        """Median sampling rate in Hz."""
-        return float(1.0 / np.median(self.dt))
+        """Sampling rate in Hz, gaps left out."""
+        return _rate(self.dt)
 
     def crop(self, start: int, stop: int) -> Inertial:
         """Samples `start` to `stop` (exclusive)."""

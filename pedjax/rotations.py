@@ -101,9 +101,9 @@ def to_euler(c: Array) -> Array:
     level = jnp.sqrt(c[2, 1] ** 2 + c[2, 2] ** 2 + 1e-24)
     return jnp.stack(
         [
-            jnp.arctan2(c[2, 1], c[2, 2] + 1e-30),
+            jnp.arctan2(c[2, 1], c[2, 2] + 1e-15),
             jnp.arctan2(-c[2, 0], level),
-            jnp.arctan2(c[1, 0], c[0, 0] + 1e-30),
+            jnp.arctan2(c[1, 0], c[0, 0] + 1e-15),
         ]
     )
 
@@ -123,7 +123,7 @@ def from_quaternion(q: Array) -> Array:
 def tilt(force: Array) -> tuple[Array, Array]:
     """Roll and pitch of a body at rest from its specific force `(3, *L)`, z up (methods: f points up)."""
     level = jnp.sqrt(force[1] ** 2 + force[2] ** 2 + 1e-24)
-    return jnp.arctan2(force[1], force[2] + 1e-30), jnp.arctan2(-force[0], level)
+    return jnp.arctan2(force[1], force[2] + 1e-15), jnp.arctan2(-force[0], level)
 
 
 def levelled(force: Array, heading: Array) -> Array:

@@ -114,8 +114,10 @@ def run(
 def _warnings(walk: Walk, output: Output) -> list[str]:
     notes = []
     if not output.healthy[-1]:
-        at = int(np.argmin(output.healthy))
-        notes.append(f"the filter left the numbers at {walk.imu.time[at]:.2f} s (not finite, or no covariance)")
+        first = int(np.argmin(output.healthy))
+        notes.append(
+            f"the filter left the numbers at {walk.imu.time[first]:.2f} s (not finite, or no covariance)"
+        )
     still = output.stance > 0.5
     if not still.any():
         notes.append("no stance at all: raise the detector's threshold, or is the sensor on the foot?")

@@ -1,4 +1,4 @@
-"""What an estimator is: four pure functions over a parameter tree. Tuning, sweeping and plots know no more."""
+"""What an estimator is: four pure functions over a parameter tree, and no more than that."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ class System(NamedTuple):
     """A published estimator.
 
     `defaults()` gives its parameters; `prepare(parameters, force (T, 3), rate (T, 3), dt (T,), rate_hz,
-    length)` its `Inputs`, from the settings alone (samples from `length` on are padding, with dt = 0); `start(parameters, opening)` the first state; and
-    `step(parameters, state, sample)` the next state and an `Output`. All but `defaults` are pure and take
-    leaves with any trailing lanes.
+    length)` its `Inputs`, from the settings alone (samples from `length` on are padding, with dt = 0);
+    `start(parameters, opening)` the first state; and `step(parameters, state, sample)` the next state and an
+    `Output`. All but `defaults` are pure and take leaves with any trailing lanes.
     """
 
     name: str

@@ -39,10 +39,7 @@ def trailing(merge: Callable[[Tree, Tree], Tree], x: Tree, width: int) -> Tree:
     covered, block, size, rest = 0, x, 1, width
     while rest:
         if rest & 1:
-            if result is None:
-                result = block
-            else:
-                result = merge(delay(block, covered), result)
+            result = block if result is None else merge(delay(block, covered), result)
             covered += size
         rest >>= 1
         if rest:

@@ -20,7 +20,8 @@ from pedjax.labels import still_labels
 from pedjax.output import folder, write_figure, write_json, write_table, write_toml
 from pedjax.recording import Recording, inertial
 from pedjax.roc import detector_roc
-from pedjax.running import Track, run as run_system
+from pedjax.running import Track
+from pedjax.running import run as run_system
 from pedjax.scoring import Score, evaluate
 from pedjax.sources import read_all
 from pedjax.sweeping import design
@@ -63,8 +64,6 @@ def _say(*lines: str) -> None:
 
 def info(args: argparse.Namespace) -> int:
     """What each file holds; raw signals as pictures where --out is given."""
-    if not args.recordings:
-        raise InputError("no recording was given; name files, or demo:0 for a walk made by the package")
     recordings = read_all(args.recordings, args.format, args.sensor)
     out = folder(args.out) if args.out else None
     described = []
@@ -101,7 +100,8 @@ def _describe(path: str, recording: Recording) -> list[str]:
     if recording.landmarks is not None:
         known = np.isfinite(recording.landmarks.position).sum(axis=0)
         lines.append(
-            f"  {len(recording.landmarks.time)} landmarks (x known at {known[0]}, y at {known[1]}, z at {known[2]})"
+            f"  {len(recording.landmarks.time)} landmarks "
+            f"(x known at {known[0]}, y at {known[1]}, z at {known[2]})"
         )
     if recording.truth is not None:
         orientation = " with orientation" if recording.truth.quaternion is not None else ""
@@ -131,7 +131,8 @@ def run(args: argparse.Namespace) -> int:
             picture = plots.trajectory(track, recording, score, config.alignment)
             write_figure(out / f"{_stem(recording)}_trajectory.png", picture)
             write_figure(
-                out / f"{_stem(recording)}_stance.png", plots.stance_over_signals(track, recording, config.sensor)
+                out / f"{_stem(recording)}_stance.png",
+                plots.stance_over_signals(track, recording, config.sensor),
             )
     _metrics(out, config, entries)
     write_toml(out / "config.toml", resolved(config, params, tuned_on=list(config.tuned_on)))
@@ -150,9 +151,7 @@ def _columns(track: Track) -> dict[str, Sequence[Any]]:
         ("velocity", track.velocity, "m_per_s"),
     ):
         columns |= {f"{name}_{a}_{unit}": v.tolist() for a, v in zip("xyz", values.T, strict=True)}
-    columns |= {
-        f"{a}_rad": v.tolist() for a, v in zip(("roll", "pitch", "yaw"), track.euler.T, strict=True)
-    }
+    columns |= {f"{a}_rad": v.tolist() for a, v in zip(("roll", "pitch", "yaw"), track.euler.T, strict=True)}
     columns["stance"] = track.stance.tolist()
     columns["sigma_horizontal_m"] = np.hypot(track.sigma[:, 6], track.sigma[:, 7]).tolist()
     columns["sigma_yaw_rad"] = track.sigma[:, 2].tolist()
@@ -180,7 +179,8 @@ def _line(path: str, track: Track, score: Score | None, tuned_on: bool = False) 
     if score is not None and score.rms_2d_m is not None:
         text += (
             f", RMS {score.rms_2d_m:.3f} m, final {score.final_2d_m:.3f} m "
-            f"({score.percent_of_distance or 0:.2f} % of the distance), {score.count} points, {score.alignment}"
+            f"({score.percent_of_distance or 0:.2f} % of the distance), {score.count} points, "
+            f"{score.alignment}"
         )
     if tuned_on:
         text += " [tuned on this recording]"
@@ -336,17 +336,29 @@ def sweep(args: argparse.Namespace) -> int:
     entries = []
     for path, recording in zip(config.recordings, recordings, strict=True):
         track = run_system(recording, chosen, at_best, sensor=config.sensor, clock=config.clock)
-        entries.append({**_entry(path, track, evaluate(track, recording, config.alignment)), "tuned_on": True})
+        entries.append(
+            {**_entry(path, track, evaluate(track, recording, config.alignment)), "tuned_on": True}
+        )
     _metrics(
-        out, config, entries, loss=settings.loss, sets=len(found.mean), best=best, best_mean_m=found.mean[found.best]
+        out,
+        config,
+        entries,
+        loss=settings.loss,
+        sets=len(found.mean),
+        best=best,
+        best_mean_m=found.mean[found.best],
     )
-    write_toml(out / "config.toml", resolved(config, params, sweep={**vars(settings), "ranges": dict(settings.ranges)}))
+    write_toml(
+        out / "config.toml",
+        resolved(config, params, sweep={**vars(settings), "ranges": dict(settings.ranges)}),
+    )
     if config.figures:
         specs = parameters.specs(params)
         log = {p for p in values if specs[p].scale == "log"}
         write_figure(out / "sweep.png", plots.sweep_map(found, log, {p: specs[p].unit for p in values}))
     shown = ", ".join(f"{p} = {v:.4g}" for p, v in best.items())
-    _say(f"{len(found.mean)} sets: best mean {settings.loss} {_metres(float(found.mean[found.best]))} at {shown}")
+    lowest = _metres(float(found.mean[found.best]))
+    _say(f"{len(found.mean)} sets: best mean {settings.loss} {lowest} at {shown}")
     _say(f"results in {out}")
     return 0
 
@@ -371,9 +383,7 @@ def roc(args: argparse.Namespace) -> int:
             "auc": curve.auc,
             "false_alarm": args.false_alarm,
             "threshold": curve.at_false_alarm(args.false_alarm),
-            "p_detection": float(
-                np.interp(args.false_alarm, curve.p_false_alarm, curve.p_detection)
-            ),
+            "p_detection": float(np.interp(args.false_alarm, curve.p_false_alarm, curve.p_detection)),
         }
         for name, curve in curves.items()
     }

@@ -14,17 +14,22 @@ from pedjax.errors import InputError
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="pedjax",
-        description="Differentiable pedestrian dead reckoning: from a foot-mounted recording to a tuned track.",
+        description="Differentiable pedestrian dead reckoning: from a recording to a tuned track.",
     )
     parser.add_argument("--version", action="version", version=f"pedjax {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     recordings = argparse.ArgumentParser(add_help=False)
     recordings.add_argument(
-        "recordings", nargs="*", metavar="RECORDING", help="a file, or demo:SEED for a walk made by the package"
+        "recordings",
+        nargs="*",
+        metavar="RECORDING",
+        help="a file, or demo:SEED for a walk made by the package",
     )
     recordings.add_argument("--sensor", help="which sensor of the recording (default: foot)")
-    recordings.add_argument("--format", metavar="TOML", help="description of a csv or npz file (docs/formats.md)")
+    recordings.add_argument(
+        "--format", metavar="TOML", help="description of a csv or npz file (docs/formats.md)"
+    )
     recordings.add_argument("--out", metavar="DIR", help="folder for results (default: out)")
     recordings.add_argument("--no-figures", action="store_true", help="draw nothing")
 
@@ -54,7 +59,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     tune.add_argument("--names", metavar="PATH", nargs="+", help="the parameters to tune")
     commands.add_parser("sweep", parents=both, help="errors of many parameter sets")
-    roc = commands.add_parser("roc", parents=both, help="ROC of stance detectors against the truth's velocity")
+    roc = commands.add_parser(
+        "roc", parents=both, help="ROC of stance detectors against the truth's velocity"
+    )
     roc.add_argument("--detectors", nargs="+", metavar="NAME", help="default: all six")
     roc.add_argument("--false-alarm", type=float, default=0.05, help="operating point (default: 0.05)")
     roc.add_argument(
@@ -66,7 +73,10 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns its exit status."""
-    args = _parser().parse_args(argv)
+    parser = _parser()
+    args = parser.parse_args(argv)
+    if not getattr(args, "recordings", True) and not getattr(args, "config", None):
+        parser.error(f"{args.command}: name a recording, or demo:0 for a walk made by the package")
     from pedjax.runtime import configure
 
     with warnings.catch_warnings(record=True) as caught:

@@ -31,13 +31,11 @@ def memory_based_graph(specific_force: Array, angular_rate: Array, window: int) 
     max over splits 0 <= s < t < W of sum_{i<=s} sum_{j>=t} |f_i - f_j| / ((t - s)(W - t + 1)).
     """
     past = [delay(specific_force, window - 1 - i) for i in range(window)]
-    best = None
+    best = jnp.zeros_like(specific_force[:, 0])
     for s in range(window - 1):
         for t in range(s + 1, window):
             total = sum(_norm(past[i] - past[j]) for i in range(s + 1) for j in range(t, window))
-            split = total / ((t - s) * (window - t + 1))
-            best = split if best is None else jnp.maximum(best, split)
-    assert best is not None
+            best = jnp.maximum(best, total / ((t - s) * (window - t + 1)))
     return best[:, None]
 
 

@@ -23,16 +23,16 @@ from pedjax.windows import is_complete
 
 _PYSHOE = "PyShoe, published scripts"
 _KIT = "kit choice"
-_MISSING = 1e30  # a window that is not there: never still
+_MISSING = 1e10  # a window that is not there: never still, and its square finite in float32
 
 
 @parameters
 class Shoe:
     """SHOE, the generalised likelihood ratio test of Skog et al. 2010."""
 
-    threshold: float = leaf(8.5e7, unit="1", low=1e3, high=1e12, source=f"{_PYSHOE} (mixed gait)")
-    sigma_accelerometer: float = leaf(0.00098, unit="m/s^2", low=1e-5, high=10.0, source=_PYSHOE)
-    sigma_gyroscope: float = leaf(8.7266463e-5, unit="rad/s", low=1e-7, high=1.0, source=_PYSHOE)
+    threshold: Array = leaf(8.5e7, unit="1", low=1e3, high=1e12, source=f"{_PYSHOE} (mixed gait)")
+    sigma_accelerometer: Array = leaf(0.00098, unit="m/s^2", low=1e-5, high=10.0, source=_PYSHOE)
+    sigma_gyroscope: Array = leaf(8.7266463e-5, unit="rad/s", low=1e-7, high=1.0, source=_PYSHOE)
     window_s: float = setting(0.025, source="PyShoe: W = 5 at 200 Hz")
 
 
@@ -40,7 +40,7 @@ class Shoe:
 class Ared:
     """ARED, angular rate energy."""
 
-    threshold: float = leaf(0.55, unit="rad^2/s^2", low=1e-5, high=1e3, source=f"{_PYSHOE} (mixed gait)")
+    threshold: Array = leaf(0.55, unit="rad^2/s^2", low=1e-5, high=1e3, source=f"{_PYSHOE} (mixed gait)")
     window_s: float = setting(0.025, source="PyShoe: W = 5 at 200 Hz")
 
 
@@ -48,7 +48,7 @@ class Ared:
 class Amvd:
     """AMVD, moving variance of the specific force."""
 
-    threshold: float = leaf(0.3, unit="m^2/s^4", low=1e-5, high=1e4, source=_KIT)
+    threshold: Array = leaf(0.3, unit="m^2/s^4", low=1e-5, high=1e4, source=_KIT)
     window_s: float = setting(0.025, source="PyShoe: W = 5 at 200 Hz")
 
 
@@ -56,8 +56,8 @@ class Amvd:
 class Mag:
     """MAG, magnitude of the specific force against gravity."""
 
-    threshold: float = leaf(1.0, unit="1", low=1e-5, high=1e12, source=_KIT)
-    sigma_accelerometer: float = leaf(0.5, unit="m/s^2", low=1e-5, high=10.0, source=_KIT)
+    threshold: Array = leaf(1.0, unit="1", low=1e-5, high=1e12, source=_KIT)
+    sigma_accelerometer: Array = leaf(0.5, unit="m/s^2", low=1e-5, high=10.0, source=_KIT)
     window_s: float = setting(0.025, source="PyShoe: W = 5 at 200 Hz")
 
 
@@ -65,7 +65,7 @@ class Mag:
 class Mbgtd:
     """MBGTD, memory-based graph-theoretic detector."""
 
-    threshold: float = leaf(0.3, unit="m/s^2", low=1e-4, high=1e3, source=_KIT)
+    threshold: Array = leaf(0.3, unit="m/s^2", low=1e-4, high=1e3, source=_KIT)
     window_s: float = setting(0.025, source="kit choice: W = 5 at 200 Hz (PyShoe tunes with 2)")
 
 
@@ -74,11 +74,11 @@ class Eps:
     """EPS, variances of energy, product and sum (Sejong 2020, Eq. 1-9). Thresholds are not published:
     the defaults are ten times the 95th percentile of a foot's stance on public recordings at 100-250 Hz."""
 
-    energy: float = leaf(40.0, unit="m^4/s^8", low=1e-4, high=1e8, source=_KIT)
-    product: float = leaf(10.0, unit="m^4/s^8", low=1e-4, high=1e8, source=_KIT)
-    total: float = leaf(0.5, unit="m^2/s^4", low=1e-5, high=1e6, source=_KIT)
-    rate_variance: float = leaf(0.05, unit="rad^4/s^4", low=1e-8, high=1e6, source=_KIT)
-    rate_energy: float = leaf(0.55, unit="rad^2/s^2", low=1e-5, high=1e4, source=_KIT)
+    energy: Array = leaf(40.0, unit="m^4/s^8", low=1e-4, high=1e8, source=_KIT)
+    product: Array = leaf(10.0, unit="m^4/s^8", low=1e-4, high=1e8, source=_KIT)
+    total: Array = leaf(0.5, unit="m^2/s^4", low=1e-5, high=1e6, source=_KIT)
+    rate_variance: Array = leaf(0.05, unit="rad^4/s^4", low=1e-8, high=1e6, source=_KIT)
+    rate_energy: Array = leaf(0.55, unit="rad^2/s^2", low=1e-5, high=1e4, source=_KIT)
     window_s: float = setting(0.15, source="Sejong 2020: 15 samples at 100 Hz")
 
 

@@ -18,11 +18,12 @@ class Roc(NamedTuple):
 
     def at_false_alarm(self, probability: float) -> float:
         """The largest threshold whose false-alarm probability does not exceed this."""
-        return float(self.threshold[max(np.searchsorted(self.p_false_alarm, probability, "right") - 1, 0)])
+        at = int(np.searchsorted(self.p_false_alarm, probability, "right")) - 1
+        return float(self.threshold[max(at, 0)])
 
     def at_detection(self, probability: float) -> float:
         """The smallest threshold that detects with at least this probability."""
-        at = np.searchsorted(self.p_detection, probability, "left")
+        at = int(np.searchsorted(self.p_detection, probability, "left"))
         return float(self.threshold[min(at, len(self.threshold) - 1)])
 
 

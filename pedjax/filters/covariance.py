@@ -18,13 +18,23 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from pedjax.lanes import cholesky, dot, eye, forward_substitution, matmul, matmul_t, symmetric, t_matmul, transpose
+from pedjax.lanes import (
+    cholesky,
+    dot,
+    eye,
+    forward_substitution,
+    matmul,
+    matmul_t,
+    symmetric,
+    t_matmul,
+    transpose,
+)
 from pedjax.rotations import skew
 
 STATES = "tgpva"
 """Attitude, gyroscope bias, position, velocity, accelerometer bias."""
 
-PAIRS = tuple(a + b for i, a in enumerate(STATES) for b in STATES[i:])
+PAIRS = tuple((a, b) for i, a in enumerate(STATES) for b in STATES[i:])
 
 Covariance = dict[str, Array]
 
@@ -53,16 +63,18 @@ def block(P: Covariance, row: str, column: str) -> Array:
 def diagonal(deviations: dict[str, Array]) -> Covariance:
     """Covariance of independent errors from standard deviations `(3, *L)` of each state."""
     P = {}
-    for pair in PAIRS:
+    for a, b in PAIRS:
         identity = eye(3, deviations["t"][0])
-        like = deviations[pair[0]][:, None] * identity
-        P[pair] = like * like if pair[0] == pair[1] else jnp.zeros_like(like)
+        like = deviations[a][:, None] * identity
+        P[a + b] = like * like if a == b else jnp.zeros_like(like)
     return P
 
 
 def dense(P: Covariance) -> Array:
     """The full `(15, 15, *L)` matrix."""
-    return jnp.concatenate([jnp.concatenate([block(P, a, b) for b in STATES], axis=1) for a in STATES], axis=0)
+    return jnp.concatenate(
+        [jnp.concatenate([block(P, a, b) for b in STATES], axis=1) for a in STATES], axis=0
+    )
 
 
 def variances(P: Covariance) -> Array:
@@ -180,5 +192,3 @@ def normalised_innovation(P: Covariance, rows: Rows) -> Array:
         HPH = HPH + (HP if matrix is None else matmul_t(HP, matrix))
     z = forward_substitution(cholesky(HPH), rows.innovation)
     return dot(z, z)
-
-

@@ -11,6 +11,7 @@ from pedjax import rotations
 from pedjax.lanes import eye, matmul, matvec
 
 ATTITUDE_UPDATES = ("exponential", "pade", "first_order")
+FORCE_ATTITUDES = ("mean", "new")
 
 
 class Navigation(NamedTuple):
@@ -36,8 +37,8 @@ def still_at_origin(attitude: Array) -> Navigation:
 def turn(attitude: Array, phi: Array, method: str = "exponential") -> Array:
     """The attitude after the body turned by `phi = omega dt`.
 
-    `exponential` is exact for a constant rate; `pade` is Ma Eq. 27 and Zhang Eq. 6 (turns by 2 atan(|phi|/2));
-    `first_order` is Wang Eq. 1, made a rotation again by one Newton step.
+    `exponential` is exact for a constant rate; `pade` is Ma Eq. 27 and Zhang Eq. 6 (turns by
+    2 atan(|phi|/2)); `first_order` is Wang Eq. 1, made a rotation again by one Newton step.
     """
     if method == "exponential":
         return matmul(attitude, rotations.exp(phi))
@@ -47,16 +48,23 @@ def turn(attitude: Array, phi: Array, method: str = "exponential") -> Array:
 
 
 def mechanise(
-    nav: Navigation, force: Array, rate: Array, dt: Array, gravity: Array, method: str = "exponential"
+    nav: Navigation,
+    force: Array,
+    rate: Array,
+    dt: Array,
+    gravity: Array,
+    method: str = "exponential",
+    force_attitude: str = "mean",
 ) -> tuple[Navigation, Array, Array]:
     """One step of `dt` s with bias-free specific force `(3, *L)` and angular rate `(3, *L)`.
 
-    The force is turned by the mean of the old and the new attitude, the position moves with the *old*
-    velocity plus a dt²/2 (Wang's Eq. 1 takes the new one and overshoots). Returns the new state, the mean
-    attitude and the specific force in the navigation frame.
+    The force is turned by the mean of the old and the new attitude (Fischer), or by the `new` one (Wang
+    Eq. 1, PyShoe), which fits a force that lags the rate by half a sample. The position moves with the *old*
+    velocity plus a dt²/2 (Wang's Eq. 1 takes the new one and overshoots). Returns the new state, the attitude
+    that turned the force, and the specific force in the navigation frame.
     """
     attitude = turn(nav.attitude, rate * dt, method)
-    middle = 0.5 * (nav.attitude + attitude)
+    middle = attitude if force_attitude == "new" else 0.5 * (nav.attitude + attitude)
     force_n = matvec(middle, force)
     up = eye(3, force_n[0])[2]
     acceleration = force_n - gravity * up

@@ -71,7 +71,9 @@ def sweep_map(sweep: Sweep, log_paths: set[str], unit: dict[str, str]) -> Figure
     paths = list(sweep.values)
     finite = np.isfinite(sweep.mean)
     shown = np.where(finite, sweep.mean, np.nan)
-    figure = Figure(figsize=(4.2 * min(len(paths), 3) + (4.6 if len(paths) > 1 else 0), 4), layout="constrained")
+    figure = Figure(
+        figsize=(4.2 * min(len(paths), 3) + (4.6 if len(paths) > 1 else 0), 4), layout="constrained"
+    )
     axes = figure.subplots(1, min(len(paths), 3) + (len(paths) > 1), squeeze=False)[0]
     for ax, path in zip(axes, paths, strict=False):
         ax.plot(sweep.values[path], shown, ".", ms=5)
@@ -91,5 +93,7 @@ def sweep_map(sweep: Sweep, log_paths: set[str], unit: dict[str, str]) -> Figure
         ax.set_xlabel(f"{paths[0]} ({unit[paths[0]]})")
         ax.set_ylabel(f"{paths[1]} ({unit[paths[1]]})")
         figure.colorbar(dots, ax=ax, label="log₁₀ mean error (m)")
-    figure.suptitle(f"{len(shown)} parameter sets, best {np.nanmin(shown):.3f} m" if finite.any() else "none finite")
+    figure.suptitle(
+        f"{len(shown)} parameter sets, best {np.nanmin(shown):.3f} m" if finite.any() else "none finite"
+    )
     return figure

@@ -55,12 +55,15 @@ def trajectory(
     profile.grid(alpha=0.3)
     title = f"{track.name}, {track.distance:.0f} m"
     if score is not None and score.rms_2d_m is not None:
-        title += f": RMS {score.rms_2d_m:.2f} m, final {score.final_2d_m:.2f} m ({score.alignment.replace('_', ' and ')})"
+        how = score.alignment.replace("_", " and ")
+        title += f": RMS {score.rms_2d_m:.2f} m, final {score.final_2d_m:.2f} m ({how})"
     figure.suptitle(title)
     return figure
 
 
-def stance_over_signals(track: Track, recording: Recording, sensor: str = "foot", seconds: float = 12.0) -> Figure:
+def stance_over_signals(
+    track: Track, recording: Recording, sensor: str = "foot", seconds: float = 12.0
+) -> Figure:
     """Norms of force and rate, the stance statistic over its threshold, and stance shaded: the whole walk
     of the statistic, and a stretch of the rest that can be read."""
     imu = inertial(recording, sensor)
@@ -79,7 +82,14 @@ def stance_over_signals(track: Track, recording: Recording, sensor: str = "foot"
     ):
         ax.plot(time[near], signal[near[:n]], lw=0.9, color="C0")
         ax.fill_between(
-            time[near], 0, 1, where=still[near], transform=ax.get_xaxis_transform(), color="C2", alpha=0.25, lw=0
+            time[near],
+            0,
+            1,
+            where=still[near],
+            transform=ax.get_xaxis_transform(),
+            color="C2",
+            alpha=0.25,
+            lw=0,
         )
         ax.set_ylabel(label)
         ax.set_xlim(time[near][0], time[near][-1])

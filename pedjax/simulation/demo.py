@@ -116,7 +116,11 @@ def demo_walk(seed: int = 0, rate: float = 200.0, laps: int = 2) -> Recording:
     time = np.arange(int(duration * rate)) / rate
     with double_precision():
         gait = _Gait(
-            *(jnp.asarray(x, float) for x in (points, headings, stride_s, 0.5 - 0.12 * speed, 0.08 + 0.06 * speed)),
+            footholds=jnp.asarray(points),
+            headings=jnp.asarray(headings),
+            stride_s=jnp.asarray(stride_s),
+            stance=jnp.asarray(0.5 - 0.12 * speed),
+            lift=jnp.asarray(0.08 + 0.06 * speed),
             toe_off=jnp.asarray(0.5 + 0.5 * speed),
             heel_strike=jnp.asarray(0.2 + 0.25 * speed),
         )

@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from pedjax import parameters
-from pedjax.evaluation.landmarks import ALIGNMENTS
 from pedjax.errors import InputError
+from pedjax.evaluation.landmarks import ALIGNMENTS
 from pedjax.packing import pack
 from pedjax.recording import Clock, Recording
 from pedjax.system import System
 from pedjax.systems import system as find_system
 from pedjax.tuning.loop import walks_for
-from pedjax.tuning.objective import LOSSES, Problem, data_of, losses
+from pedjax.tuning.objective import LOSSES, Problem, losses
 
 _LANES = 64
 """Lanes in a block: more fall out of the cache, fewer leave vector units idle."""
@@ -69,12 +69,12 @@ def sweep(
     problem = Problem(chosen, tuple(values), loss, alignment)
     width = max(_LANES // batch.packed.slot.shape[1], 1)
     width = min(width, count)
-    data, found = data_of(batch), []
+    found = []
     for start in range(0, count, width):
         # the last block is filled up with its own last set, so that all blocks have one shape
         index = np.minimum(np.arange(start, start + width), count - 1)
         block = {path: jnp.asarray(np.asarray(v)[index], dtype) for path, v in values.items()}
-        each = np.asarray(losses(problem, cast, block, data, batch.slots))
+        each = np.asarray(losses(problem, cast, block, batch))
         found.append(each[: min(width, count - start)])
         if progress is not None:
             progress(min(start + width, count), count)

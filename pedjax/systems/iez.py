@@ -1,12 +1,14 @@
 """IEZ: inertial navigation with a 15-state error-state EKF and zero-velocity updates (INS-EKF-ZUPT).
 
-Published defaults: stance detector and filter noises of OpenShoe and PyShoe (both use the same), bias states
-of OpenShoe. Sources in the parameters below.
+Published defaults: stance detector of PyShoe, filter noises of OpenShoe and PyShoe (both use the same).
+PyShoe has no bias states; OpenShoe's start as wide as an uncalibrated unit's, which costs a tenth of the
+accuracy on calibrated ones, so the initial bias errors here are a calibrated unit's. Each parameter below
+names its source.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -24,6 +26,7 @@ from pedjax.system import Inputs, Output, System
 
 _OPENSHOE = "OpenShoe"
 _KIT = "kit choice"
+_SHEET = "kit choice: initial bias error of a calibrated unit (OpenShoe, uncalibrated: 0.3 m/s^2, 0.3 deg/s)"
 _FAR = 10.0  # log units beyond which a statistic says nothing more: bounds a missing window's influence
 _DEGREE = 0.017453292519943295
 _PER_ROOT_HZ = 200.0**-0.5  # OpenShoe's per-sample deviations, at the 200 Hz of PyShoe's published runs
@@ -41,47 +44,47 @@ class Gate:
     """
 
     kind: str = setting("fixed", choices=("fixed", "adaptive"), source="fixed: published")
-    width: float = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: the published hard test")
+    width: Array = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: the published hard test")
     straight_through: bool = setting(False, source=_KIT)
-    follow: float = leaf(0.0, unit="1", low=-0.5, high=1.5, scale="linear", source="0: published")
-    follow_time: float = leaf(0.6, unit="s", low=0.05, high=30.0, source=_KIT)
-    growth: float = leaf(0.0, unit="1", low=-0.5, high=3.0, scale="linear", source="0: published")
-    floor: float = leaf(0.0, unit="1", low=-10.0, high=10.0, scale="linear", source=_KIT)
+    follow: Array = leaf(0.0, unit="1", low=-0.5, high=1.5, scale="linear", source="0: published")
+    follow_time: Array = leaf(0.6, unit="s", low=0.05, high=30.0, source=_KIT)
+    growth: Array = leaf(0.0, unit="1", low=-0.5, high=3.0, scale="linear", source="0: published")
+    floor: Array = leaf(0.0, unit="1", low=-10.0, high=10.0, scale="linear", source=_KIT)
 
 
 @parameters
 class Process:
     """Process noise as densities, and the correlation times of the biases."""
 
-    accelerometer: float = leaf(
+    accelerometer: Array = leaf(
         0.5 * _PER_ROOT_HZ, unit="m/s^2/sqrt(Hz)", low=1e-5, high=10.0, source=f"{_OPENSHOE}: 0.5 a sample"
     )
-    gyroscope: float = leaf(
+    gyroscope: Array = leaf(
         0.5 * _DEGREE * _PER_ROOT_HZ, unit="rad/s/sqrt(Hz)", low=1e-7, high=0.1,
         source=f"{_OPENSHOE}: 0.5 deg/s a sample",
     )  # fmt: skip
-    accelerometer_bias: float = leaf(
+    accelerometer_bias: Array = leaf(
         1e-7 / _PER_ROOT_HZ, unit="m/s^3/sqrt(Hz)", low=1e-9, high=1.0, source=f"{_OPENSHOE}: 1e-7 a sample"
     )
-    gyroscope_bias: float = leaf(
+    gyroscope_bias: Array = leaf(
         1e-7 / _PER_ROOT_HZ * _DEGREE, unit="rad/s^2/sqrt(Hz)", low=1e-10, high=0.1,
         source=f"{_OPENSHOE}: 1e-7 deg/s a sample",
     )  # fmt: skip
-    accelerometer_bias_time: float = leaf(1e6, unit="s", low=1.0, high=1e9, source="kit choice: random walk")
-    gyroscope_bias_time: float = leaf(1e6, unit="s", low=1.0, high=1e9, source="kit choice: random walk")
+    accelerometer_bias_time: Array = leaf(1e6, unit="s", low=1.0, high=1e9, source="kit choice: random walk")
+    gyroscope_bias_time: Array = leaf(1e6, unit="s", low=1.0, high=1e9, source="kit choice: random walk")
 
 
 @parameters
 class Initial:
     """Standard deviations of the first state, and how it is levelled."""
 
-    attitude: float = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=_OPENSHOE)
-    heading_sigma: float = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=3.2, source=_OPENSHOE)
-    gyroscope_bias: float = leaf(0.3 * _DEGREE, unit="rad/s", low=1e-8, high=0.1, source=_OPENSHOE)
-    accelerometer_bias: float = leaf(0.3, unit="m/s^2", low=1e-6, high=3.0, source=_OPENSHOE)
-    position: float = leaf(1e-5, unit="m", low=1e-9, high=10.0, source=_OPENSHOE)
-    velocity: float = leaf(1e-5, unit="m/s", low=1e-9, high=10.0, source=_OPENSHOE)
-    heading: float = leaf(0.0, unit="rad", low=-6.3, high=6.3, scale="linear", source="0: yaw is free")
+    attitude: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=_OPENSHOE)
+    heading_sigma: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=3.2, source=_OPENSHOE)
+    gyroscope_bias: Array = leaf(7e-4, unit="rad/s", low=1e-8, high=0.1, source=f"{_SHEET}, 0.04 deg/s")
+    accelerometer_bias: Array = leaf(0.02, unit="m/s^2", low=1e-6, high=3.0, source=f"{_SHEET}, 2 mg")
+    position: Array = leaf(1e-5, unit="m", low=1e-9, high=10.0, source=_OPENSHOE)
+    velocity: Array = leaf(1e-5, unit="m/s", low=1e-9, high=10.0, source=_OPENSHOE)
+    heading: Array = leaf(0.0, unit="rad", low=-6.3, high=6.3, scale="linear", source="0: yaw is free")
     levelling_s: float = setting(0.1, source="PyShoe: the first 20 samples at 200 Hz")
 
 
@@ -89,17 +92,20 @@ class Initial:
 class Updates:
     """Measurement noises, and which rows are on."""
 
-    zero_velocity: float = leaf(0.01, unit="m/s", low=1e-5, high=10.0, source=_OPENSHOE)
-    zero_angular_rate: float = leaf(0.05, unit="rad/s", low=1e-5, high=10.0, source=_KIT)
+    zero_velocity: Array = leaf(0.01, unit="m/s", low=1e-5, high=10.0, source=_OPENSHOE)
+    zero_angular_rate: Array = leaf(0.05, unit="rad/s", low=1e-5, high=10.0, source=_KIT)
     zaru: bool = setting(False, source="not part of IEZ")
     attitude_update: str = setting("exponential", choices=strapdown.ATTITUDE_UPDATES, source=_KIT)
+    force_attitude: str = setting(
+        "mean", choices=strapdown.FORCE_ATTITUDES, source="mean: Fischer; new: PyShoe"
+    )
 
 
 @parameters
 class IezParameters:
     """All parameters of IEZ."""
 
-    gravity: float = leaf(9.8029, unit="m/s^2", low=9.7, high=9.9, scale="linear", source="PyShoe")
+    gravity: Array = leaf(9.8029, unit="m/s^2", low=9.7, high=9.9, scale="linear", source="PyShoe")
     stance: stance.StanceParameters = group(stance.StanceParameters)
     gate: Gate = group(Gate)
     updates: Updates = group(Updates)
@@ -141,7 +147,9 @@ def start(p: IezParameters, opening: Array) -> State:
     ones = jnp.ones((3, *shape), opening.dtype)
     force = align(opening, 1, len(shape)) * ones
     nav = strapdown.still_at_origin(rotations.levelled(force, p.initial.heading + like))
-    tilt_and_heading = jnp.stack([x + like for x in (p.initial.attitude, p.initial.attitude, p.initial.heading_sigma)])
+    tilt_and_heading = jnp.stack(
+        [x + like for x in (p.initial.attitude, p.initial.attitude, p.initial.heading_sigma)]
+    )
     deviations = {
         "t": tilt_and_heading,
         "g": p.initial.gyroscope_bias * ones,
@@ -160,7 +168,13 @@ def step(p: IezParameters, state: State, sample: Sample) -> tuple[State, Output]
 
     corrected_force, corrected_rate = force - nav.accelerometer_bias, rate - nav.gyroscope_bias
     nav, middle, force_n = strapdown.mechanise(
-        nav, corrected_force, corrected_rate, dt, p.gravity, p.updates.attitude_update
+        nav,
+        corrected_force,
+        corrected_rate,
+        dt,
+        p.gravity,
+        p.updates.attitude_update,
+        p.updates.force_attitude,
     )
     noise = ProcessNoise(
         p.process.gyroscope,
@@ -171,6 +185,10 @@ def step(p: IezParameters, state: State, sample: Sample) -> tuple[State, Output]
         p.process.accelerometer_bias_time,
     )
     P = covariance.predict(state.P, middle, force_n, dt, noise)
+    nav = nav._replace(  # a bias that decays in the model decays in the estimate
+        gyroscope_bias=jnp.exp(-dt / noise.gyroscope_bias_time) * nav.gyroscope_bias,
+        accelerometer_bias=jnp.exp(-dt / noise.accelerometer_bias_time) * nav.accelerometer_bias,
+    )
 
     published = stance.log_ratio(p.stance, evidence, p.gravity)
     level, log_ratio, sigma = state.level, published, p.updates.zero_velocity
@@ -192,4 +210,9 @@ def step(p: IezParameters, state: State, sample: Sample) -> tuple[State, Output]
     return state, Output(nav, weight, log_ratio, covariance.variances(P), healthy)
 
 
-IEZ = System("iez", "INS-EKF-ZUPT", IezParameters, prepare, start, step)
+def defaults() -> IezParameters:
+    """The published parameters."""
+    return IezParameters()
+
+
+IEZ = System("iez", "INS-EKF-ZUPT", defaults, prepare, start, step)

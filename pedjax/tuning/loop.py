@@ -23,7 +23,7 @@ from pedjax.runtime import double_precision
 from pedjax.system import System
 from pedjax.systems import system as find_system
 from pedjax.tuning import objective
-from pedjax.tuning.objective import LOSSES, Problem, data_of
+from pedjax.tuning.objective import LOSSES, Problem
 from pedjax.tuning.split import fingerprint, refuse_overlap
 
 Progress = Callable[[int, int, float], None]
@@ -149,7 +149,8 @@ def walks_for(
         check_length(system, params, found)
         if len(found.index) < 2:
             raise InputError(
-                f"{recording.name}: tuning needs at least two landmarks (or dense truth), it has {len(found.index)}"
+                f"{recording.name}: tuning needs at least two landmarks (or dense truth), "
+                f"it has {len(found.index)}"
             )
         walks.append(found)
     return walks
@@ -192,7 +193,7 @@ class _Search:
     def hard_loss(self, values: Mapping[str, Any], batch: Batch) -> np.ndarray:
         """Hard-gate mean loss `(S,)` of parameter sets."""
         sets = {k: jnp.asarray(v, float) for k, v in values.items()}
-        each = objective.losses(self.problem, self.params, sets, data_of(batch), batch.slots)
+        each = objective.losses(self.problem, self.params, sets, batch)
         return np.asarray(jnp.mean(each, axis=-1))
 
     def starts(self) -> dict[str, np.ndarray]:
@@ -239,7 +240,6 @@ class _Search:
         best_loss, best = self._judge(given, iteration=-1)[0], given
         best_values = {n: float(x[0]) for n, x in best.items()}
         stale = 0
-        data = data_of(self.batch)
         for iteration in range(settings.iterations + 1):
             if iteration % settings.check_every == 0 or iteration == settings.iterations:
                 values = self.values(free)
@@ -255,7 +255,7 @@ class _Search:
                 if stale > settings.patience or iteration == settings.iterations:
                     break
             free_now = {n: jnp.asarray(x) for n, x in free.items()}
-            _, gradient = gradient_of(self.problem, self.soft, free_now, data, self.batch.slots)
+            _, gradient = gradient_of(self.problem, self.soft, free_now, self.batch)
             self.runs["gradients"] += settings.starts
             gradient = {n: jnp.where(jnp.isfinite(g), g, 0.0) for n, g in gradient.items()}
             updates, state = optimiser.update(gradient, state)
@@ -298,6 +298,6 @@ def _report(
     report = {}
     for key, batch in (("tuned_on", tuned_on), ("held_back", held)):
         if batch is not None:
-            each = objective.losses(problem, hard, values, data_of(batch), batch.slots)[0]
+            each = objective.losses(problem, hard, values, batch)[0]
             report[key] = {name: float(x) for name, x in zip(batch.names, np.asarray(each), strict=True)}
     return report

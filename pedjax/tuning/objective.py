@@ -11,7 +11,7 @@ from jax import Array
 
 from pedjax import parameters
 from pedjax.evaluation.landmarks import landmark_errors
-from pedjax.filtering import Packed, scan_points
+from pedjax.filtering import scan_points
 from pedjax.packing import Batch
 from pedjax.system import System
 
@@ -28,58 +28,42 @@ class Problem(NamedTuple):
     alignment: str
 
 
-class Data(NamedTuple):
-    """The arrays of a `Batch`, as a tree (a `Batch` itself is not one)."""
-
-    packed: Packed
-    reference: Any
-    rows: Array
-    columns: Array
-    closing: Array
-
-
-def data_of(batch: Batch) -> Data:
-    """The traced part of a batch."""
-    return Data(batch.packed, batch.reference, batch.rows, batch.columns, batch.closing)
-
-
-@partial(jax.jit, static_argnames=("problem", "slots"))
-def losses(problem: Problem, params: Any, values: dict[str, Array], data: Data, slots: int) -> Array:
+@partial(jax.jit, static_argnames="problem")
+def losses(problem: Problem, params: Any, values: dict[str, Array], batch: Batch) -> Array:
     """Loss of each recording for parameter sets `values[path] (S,)`: `(S, R)` in m, inf where unhealthy."""
     lanes = {path: value[..., None] for path, value in values.items()}
-    points = scan_points(problem.system, parameters.with_leaves(params, lanes), data.packed, slots)
-    batch = Batch((), data.packed, slots, data.reference, data.rows, data.columns, data.closing, 0)
-    errors = landmark_errors(batch.estimates(points), data.reference, problem.alignment)
+    points = scan_points(problem.system, parameters.with_leaves(params, lanes), batch.packed, batch.slots)
+    errors = landmark_errors(batch.estimates(points), batch.reference, problem.alignment)
     loss = getattr(errors, LOSSES[problem.loss])
     return jnp.where(batch.healthy(points) & jnp.isfinite(loss), loss, jnp.inf)
 
 
-@partial(jax.jit, static_argnames=("problem", "slots"))
+@partial(jax.jit, static_argnames="problem")
 def soft_loss_and_gradient(
-    problem: Problem, params: Any, free: dict[str, Array], data: Data, slots: int
+    problem: Problem, params: Any, free: dict[str, Array], batch: Batch
 ) -> tuple[Array, dict[str, Array]]:
-    """Mean loss over recordings of each start `(S,)` and its gradient by the free numbers, by reverse mode."""
+    """Mean loss over recordings of each start `(S,)` and its gradient by the free numbers (reverse mode)."""
 
     def total(free: dict[str, Array]) -> tuple[Array, Array]:
         specs = parameters.specs(params)
         values = {path: specs[path].from_free(x) for path, x in free.items()}
-        each = jnp.mean(losses(problem, params, values, data, slots), axis=-1)
+        each = jnp.mean(losses(problem, params, values, batch), axis=-1)
         return jnp.sum(jnp.where(jnp.isfinite(each), each, 0.0)), each
 
     gradient, each = jax.grad(total, has_aux=True)(free)
     return each, gradient
 
 
-@partial(jax.jit, static_argnames=("problem", "slots"))
+@partial(jax.jit, static_argnames="problem")
 def soft_loss_and_gradient_forward(
-    problem: Problem, params: Any, free: dict[str, Array], data: Data, slots: int
+    problem: Problem, params: Any, free: dict[str, Array], batch: Batch
 ) -> tuple[Array, dict[str, Array]]:
     """The same by forward mode: one extra run a parameter, cheaper for one to four of them."""
 
     def total(free: dict[str, Array]) -> Array:
         specs = parameters.specs(params)
         values = {path: specs[path].from_free(x) for path, x in free.items()}
-        return jnp.mean(losses(problem, params, values, data, slots), axis=-1)
+        return jnp.mean(losses(problem, params, values, batch), axis=-1)
 
     each = total(free)
     gradient = {}

@@ -21,7 +21,9 @@ def fingerprint(recording: Recording) -> str:
     return digest.hexdigest()[:16]
 
 
-def split(recordings: Sequence[Recording], fraction: float = 0.5, seed: int = 0) -> tuple[list[int], list[int]]:
+def split(
+    recordings: Sequence[Recording], fraction: float = 0.5, seed: int = 0
+) -> tuple[list[int], list[int]]:
     """Indices of the recordings to tune on (that `fraction` of them) and of those held back.
 
     Sorted by name, then shuffled by the seed: the order of the command line does not matter, and the same
@@ -46,5 +48,5 @@ def refuse_overlap(tuned_on: Sequence[str], held_back: Sequence[Recording]) -> N
     for recording in held_back:
         if fingerprint(recording) in tuned_on:
             raise InputError(
-                f"{recording.name} was tuned on: its error is no held-back error; leave it out of one of the lists"
+                f"{recording.name} was tuned on: its error is no held-back error; take it off one list"
             )

@@ -1,0 +1,46 @@
+"""What all tests share: the compilation options, double precision, and walks that are made once."""
+
+import matplotlib
+
+import pedjax
+
+matplotlib.use("Agg")
+CONFIGURED = pedjax.configure()
+
+import jax  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+
+from tests import tools  # noqa: E402
+from tests.reference.walk import walk  # noqa: E402
+
+jax.config.update("jax_enable_x64", True)
+
+
+@pytest.fixture(scope="session")
+def configured():
+    """Whether the fast compilation options are in force."""
+    return CONFIGURED
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+@pytest.fixture(scope="session")
+def minute():
+    """A minute of walking at 100 Hz, noisy sensors with biases."""
+    return tools.noisy(walk(60.0, 100.0, seed=1), seed=2)
+
+
+@pytest.fixture(scope="session")
+def minute_recording(minute):
+    return tools.recording_of(minute, "minute")
+
+
+@pytest.fixture(scope="session")
+def demos():
+    """Four demo walks, cropped to different lengths."""
+    seconds = (12.0, 19.0, 9.0, 15.0)
+    return [tools.crop(pedjax.demo_walk(seed), s) for seed, s in enumerate(seconds)]

@@ -1,0 +1,220 @@
+"""The driver: causal to the bit, in chunks to the bit, compiled as one loop and only once."""
+
+import os
+import re
+import subprocess
+import sys
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pedjax
+from pedjax import filtering, parameters
+from pedjax.packing import nominal_rate, pack, prepare, walk
+from pedjax.systems import SYSTEMS
+from tests import tools
+
+IEZ = SYSTEMS["iez"]
+ADAPTIVE = {
+    "gate__kind": "adaptive",
+    "gate__follow": 0.3,
+    "gate__growth": 0.5,
+    "gate__width": 0.25,
+    **tools.shoe_sigmas(),
+}
+
+
+@partial(jax.jit, static_argnames="system")
+def scan(system, params, samples, state):
+    return filtering.scan(system, params, samples, state)
+
+
+@pytest.fixture(scope="module")
+def prepared(minute_recording):
+    params = parameters.cast(tools.iez(**ADAPTIVE), float)
+    imu = walk(minute_recording).imu.crop(0, 1600)
+    return params, prepare(IEZ, params, imu, float, 1600), imu
+
+
+def same_bits(a, b):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def test_cropping_the_end_changes_no_bit(prepared):
+    params, inputs, imu = prepared
+    state = IEZ.start(params, inputs.opening)
+    _, whole = scan(IEZ, params, inputs.samples, state)
+    for stop in (1000, 777):
+        cropped = prepare(IEZ, params, imu.crop(0, stop), float, stop)
+        _, part = scan(IEZ, params, cropped.samples, IEZ.start(params, cropped.opening))
+        same_bits(jax.tree.map(lambda x, n=stop: x[:n], whole), part)
+
+
+def test_a_cropped_recording_runs_to_the_same_bits(minute_recording):
+    params = tools.iez(**ADAPTIVE)
+    whole = pedjax.run(minute_recording, params=params)
+    part = pedjax.run(tools.crop(minute_recording, 40.0), params=params)
+    count = len(part.time)
+    assert count < len(whole.time)
+    for name in ("position", "velocity", "attitude", "gyroscope_bias", "stance", "log_ratio", "sigma"):
+        np.testing.assert_array_equal(getattr(whole, name)[:count], getattr(part, name), err_msg=name)
+
+
+def test_two_chunks_equal_one_to_the_bit(prepared):
+    params, inputs, _ = prepared
+    state = IEZ.start(params, inputs.opening)
+    end, whole = scan(IEZ, params, inputs.samples, state)
+    for cut in (800, 431):
+        first, second = (
+            jax.tree.map(lambda x, s=s: x[s], inputs.samples) for s in (slice(cut), slice(cut, None))
+        )
+        middle, a = scan(IEZ, params, first, state)
+        last, b = scan(IEZ, params, second, middle)
+        same_bits(end, last)
+        same_bits(whole, jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b))
+
+
+def test_what_is_kept_is_the_callers_choice(prepared):
+    params, inputs, _ = prepared
+    samples = jax.tree.map(lambda x: x[:50], inputs.samples)
+    _, kept = filtering.scan(
+        IEZ, params, samples, IEZ.start(params, inputs.opening), lambda o: o.navigation.position
+    )
+    assert kept.shape == (50, 3)
+
+
+def computations(text):
+    """Name to body of every computation of an HLO module."""
+    return {
+        m.group(1): m.group(2)
+        for m in re.finditer(r"^(?:ENTRY )?%?([\w.-]+) \([^\n]*\{\n(.*?)^\}", text, re.MULTILINE | re.DOTALL)
+    }
+
+
+def reached(name, known, seen):
+    """A computation and all it calls."""
+    if name in seen or name not in known:
+        return
+    seen.add(name)
+    for called in re.findall(r"(?:calls|to_apply|body|condition)=%?([\w.-]+)", known[name]):
+        reached(called, known, seen)
+
+
+def loop_text(text):
+    """Everything inside the while loops of an HLO module, and how many there are."""
+    known = computations(text)
+    bodies = re.findall(r" while\([^\n]*body=%?([\w.-]+)", text)
+    seen: set[str] = set()
+    for body in bodies:
+        reached(body, known, seen)
+    return "\n".join(known[name] for name in seen), len(bodies)
+
+
+HINDRANCES = re.compile(r"custom-call|scatter|kind=kCustom|__onednn|\bsort\(|\bfft\(")
+
+
+@pytest.mark.parametrize("lanes", [1, 4])
+def test_the_loop_is_hoisted(configured, demos, lanes):
+    """No custom call, scatter or custom fusion in a loop's body: XLA then compiles the scan as one kernel."""
+    if not configured:
+        pytest.skip("the fast compilation options are not in force (PEDJAX_FAST=0, or another jaxlib)")
+    params = parameters.cast(tools.iez(**ADAPTIVE), float)
+    params = parameters.with_leaves(params, {"stance.shoe.threshold": jnp.full((lanes, 1), 1e3)})
+    batch = pack(IEZ, parameters.cast(tools.iez(), float), [walk(r) for r in demos[:2]])
+    points = jax.jit(filtering.scan_points, static_argnums=(0, 3))
+    text = points.lower(IEZ, params, batch.packed, batch.slots).compile().as_text()
+    body, count = loop_text(text)
+    assert count == 2  # chunks, and the samples of a chunk
+    assert len(body) > 10_000
+    found = HINDRANCES.search(body)
+    assert found is None, body[max(found.start() - 300, 0) : found.end() + 100]
+
+
+def test_a_loop_that_cannot_be_hoisted_is_noticed():
+    def body(a, _):
+        return jnp.linalg.solve(a, jnp.eye(3)), None
+
+    text = jax.jit(lambda a: jax.lax.scan(body, a, length=5)[0]).lower(jnp.eye(3)).compile().as_text()
+    found, count = loop_text(text)
+    assert count >= 1
+    assert HINDRANCES.search(found)
+
+
+def python(code, **environment):
+    kept = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "PEDJAX_FAST")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**kept, **environment}, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
+def test_without_the_options_the_track_is_the_same(tmp_path):
+    code = """
+import sys, jax, numpy as np, pedjax
+print(pedjax.configure())
+jax.config.update("jax_enable_x64", True)
+np.save(sys.argv[1] if len(sys.argv) > 1 else TARGET, pedjax.run(pedjax.demo_walk(1, laps=1)).position)
+"""
+    tracks = []
+    for fast in ("0", "1"):
+        target = tmp_path / f"{fast}.npy"
+        printed = python(f"TARGET = {str(target)!r}\n{code}", PEDJAX_FAST=fast)
+        assert printed.strip() == str(fast == "1") or fast == "1"
+        tracks.append(np.load(target))
+    np.testing.assert_allclose(tracks[0], tracks[1], atol=1e-9)
+
+
+def test_configuring_too_late_warns():
+    code = """
+import warnings, jax.numpy as jnp, pedjax
+jnp.zeros(3).block_until_ready()
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    print(pedjax.configure(), len(caught), "already started" in str(caught[0].message), caught[0].filename)
+"""
+    assert python(code).split()[:3] == ["False", "1", "True"]
+
+
+def test_configuring_early_works_once_and_again():
+    code = """
+import os, pedjax
+print(pedjax.configure(), pedjax.configure(), len(os.environ["XLA_FLAGS"].split()))
+"""
+    first, second, flags = python(code, XLA_FLAGS="--xla_force_host_platform_device_count=1").split()
+    assert first == second
+    assert flags == ("4" if first == "True" else "1")
+
+
+def test_importing_starts_nothing():
+    code = """
+import os, pedjax
+from pedjax.runtime import _started
+print(_started(), os.environ.get("XLA_FLAGS"))
+"""
+    assert python(code).split() == ["False", "None"]
+
+
+def test_recordings_of_nearly_equal_length_compile_once(minute_recording):
+    traces = []
+
+    def step(p, state, sample):
+        traces.append(sample.dt.shape)
+        return IEZ.step(p, state, sample)
+
+    counted = IEZ._replace(step=step)
+    for seconds, threshold in ((59.0, 1e8), (58.9, 1e8), (58.0, 1e7)):
+        params = tools.iez(stance__shoe__threshold=threshold)
+        pedjax.run(tools.crop(minute_recording, seconds), counted, params)
+        if len(traces) and seconds == 59.0:
+            once = len(traces)
+    assert once >= 1
+    assert len(traces) == once
+
+
+def test_rates_round_to_whole_hertz(minute_recording):
+    assert nominal_rate(walk(minute_recording).imu) == 100.0

@@ -1,0 +1,69 @@
+"""Walks for the tests: noise, recordings, crops."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from pedjax import parameters
+from pedjax.recording import Landmarks, Recording, Sensor, Stream, Truth
+from pedjax.systems import system
+
+LEAVES = tuple(parameters.specs(system("iez").defaults()))
+
+
+def noisy(walk, seed, force=0.05, rate=0.005, force_bias=0.04, rate_bias=0.003):
+    """The walk with white noise and constant biases on its sensors, in m/s^2 and rad/s."""
+    rng = np.random.default_rng(seed)
+    shape = walk.specific_force.shape
+    return walk._replace(
+        specific_force=walk.specific_force + rng.normal(0, force, shape) + rng.normal(0, force_bias, 3),
+        angular_rate=walk.angular_rate + rng.normal(0, rate, shape) + rng.normal(0, rate_bias, 3),
+    )
+
+
+def recording_of(walk, name, every_s=5.0):
+    """A recording of a reference walk with landmarks on the truth every few seconds and dense truth."""
+    time = np.cumsum(walk.dt)
+    marks = np.arange(len(time) - 1, 0, -round(every_s / walk.dt[0]))[::-1]
+    return Recording(
+        name,
+        {"foot": Sensor(Stream(time, walk.specific_force), Stream(time, walk.angular_rate), up="+z")},
+        landmarks=Landmarks(time[marks], walk.position[marks]),
+        truth=Truth(time, walk.position),
+    )
+
+
+def crop(recording, seconds, name=None):
+    """The first seconds of a recording."""
+    stop = next(iter(recording.sensors.values())).gyroscope.time[0] + seconds
+
+    def cut(stream):
+        return Stream(stream.time[stream.time < stop], stream.values[stream.time < stop])
+
+    sensors = {
+        key: replace(s, accelerometer=cut(s.accelerometer), gyroscope=cut(s.gyroscope))
+        for key, s in recording.sensors.items()
+    }
+    marks, truth = recording.landmarks, recording.truth
+    inside, known = marks.time < stop, truth.time < stop
+    return replace(
+        recording,
+        name=name or recording.name,
+        sensors=sensors,
+        landmarks=Landmarks(marks.time[inside], marks.position[inside]),
+        truth=Truth(truth.time[known], truth.position[known]),
+    )
+
+
+def iez(**changes):
+    """Parameters of IEZ with changes, `__` for the dot: `gate__width=0.25`."""
+    return parameters.replace(system("iez").defaults(), {k.replace("__", "."): v for k, v in changes.items()})
+
+
+def shoe_sigmas():
+    """Thresholds fit for consumer noise: SHOE's sigmas as in the tests' walks."""
+    return {
+        "stance__shoe__sigma_accelerometer": 0.01,
+        "stance__shoe__sigma_gyroscope": 0.005,
+        "stance__shoe__threshold": 1500.0,
+    }
