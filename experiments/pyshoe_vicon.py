@@ -6,11 +6,10 @@ Each trial file carries the SHOE threshold that its authors found best with the 
 (ARMSE, horizontal) they got with it. Column by column we go from their rules to ours:
 
 * `emulated`: block windows, no bias states, constant dt, the force turned by the new attitude, and the track
-  turned about the start so that the direction at 0.8 m from it agrees: what PyShoe does, save that the position
-  moves with the old velocity (theirs with the updated one, plus a dt²/2: 1 mm in the median, 9 at most) and
-  that we pair track and truth sample by sample (theirs agree to a millimetre only when the track is read one
-  sample later: 1 mm, 6 at most). Their last incomplete block, counted as still, and the attitude before the
-  step in their covariance cost nothing measurable.
+  turned about the start so that the direction at 0.8 m from it agrees. That is what PyShoe does, save that
+  its position moves with the updated velocity (1 mm in the median, 9 at most) and that it pairs track and
+  truth one sample apart (1 mm, 6 at most). Its last incomplete block, counted as still, and the attitude
+  before the step in its covariance cost nothing measurable.
 * `best fit`: the same track after the best yaw and translation, instead of the direction at one point.
 * `causal`: windows that end at their sample, true time stamps, force turned by the mean attitude.
 * `published`: 15 states and one threshold for all, 8.5e7 (PyShoe's for mixed gait).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -144,74 +145,93 @@ def prepare(system: System, parameters: Any, imu: Inertial, dtype: Any, padded: 
     return found._replace(samples=jax.tree.map(lambda x: x[:padded], found.samples))
 
 
+def _columns(sizes: Sequence[int]) -> list[list[int]]:
+    """Items of those sizes in columns: as many columns as cost at most a tenth more than the tightest way."""
+    counts = np.unique(np.geomspace(1, len(sizes), 200).astype(int))
+    tried = [_fill(sizes, int(count)) for count in counts]
+    cost = [len(way) * max(sum(sizes[r] for r in members) for members in way) for way in tried]
+    return [way for way, c in zip(tried, cost, strict=True) if c <= 1.1 * min(cost)][-1]
+
+
+def _fill(sizes: Sequence[int], count: int) -> list[list[int]]:
+    """The longest first, each into the emptiest column."""
+    heap = [(0, c) for c in range(count)]
+    columns: list[list[int]] = [[] for _ in range(count)]
+    for r in sorted(range(len(sizes)), key=lambda r: -sizes[r]):
+        filled, c = heapq.heappop(heap)
+        columns[c].append(r)
+        heapq.heappush(heap, (filled + sizes[r], c))
+    return columns
+
+
 def pack(
     system: System, parameters: Any, walks: Sequence[Walk], dtype: Any = float, chunk: int | None = None
 ) -> Batch:
-    """Pack recordings into as few columns as the longest of them allows, each filled evenly."""
+    """Pack recordings into columns of equal length with little padding."""
     if not walks:
         raise InputError("no recording was given")
-    longest = max(len(w.imu.time) for w in walks)
-    total = sum(len(w.imu.time) for w in walks)
-    chunk = chunk or max(math.isqrt(longest), 1)
-    chunks_of = [len(w.imu.time) // chunk + 1 for w in walks]  # at least one padding sample ends each
-    count = max(1, -(-total // max(longest, 1)))
-    columns: list[list[int]] = [[] for _ in range(count)]
-    filled = [0] * count
-    for r in sorted(range(len(walks)), key=lambda r: -chunks_of[r]):  # longest first, emptiest column
-        c = int(np.argmin(filled))
-        columns[c].append(r)
-        filled[c] += chunks_of[r]
-    chunks = max(filled)
-    placed = {}
+    chunk = chunk or max(math.isqrt(max(len(w.imu.time) for w in walks)), 1)
+    sizes = [len(w.imu.time) // chunk + 1 for w in walks]  # at least one padding sample ends each
+    columns = _columns(sizes)
+    chunks = max(sum(sizes[r] for r in members) for members in columns)
+    first, column = np.zeros(len(walks), int), np.zeros(len(walks), int)
     for c, members in enumerate(columns):
-        at = 0
-        for r in members:
-            placed[r] = (c, at)
-            at += chunks_of[r]
-    begin = np.zeros((chunks, count), bool)
-    slot = np.full((chunks * chunk, count), -1)
-    used = np.zeros((chunks, count), int)
-    most = max(max((len(w.index) for w in walks), default=0), 1)
-    chunk_of_point = np.zeros((most, len(walks)), int)
-    slot_of_point = np.zeros((most, len(walks)), int)
-    position = np.zeros((most, 3, len(walks)))
-    known = np.zeros((2, most, len(walks)))
-    prepared = []
-    for r, w in enumerate(walks):
-        column, first = placed[r]
-        begin[first, column] = True
-        sample, inverse = np.unique(first * chunk + w.index, return_inverse=True)
-        for s in sample:
-            slot[s, column] = used[s // chunk, column]
-            used[s // chunk, column] += 1
-        k = len(w.index)
-        chunk_of_point[:k, r], slot_of_point[:k, r] = sample[inverse] // chunk, slot[sample, column][inverse]
-        finite = np.isfinite(w.position)
-        position[:k, :, r] = np.where(finite, w.position, 0.0)
-        known[0, :k, r], known[1, :k, r] = finite[:, 0] & finite[:, 1], finite[:, 2]
-        prepared.append(prepare(system, parameters, w.imu, dtype, chunks_of[r] * chunk))
-    slots = max(int(used.max()), 1)
+        first[members] = np.cumsum([0, *(sizes[r] for r in members[:-1])])
+        column[members] = c
+    begin = np.zeros((chunks, len(columns)), bool)
+    begin[first, column] = True
+    slot, slots, rows = _slots(walks, first, column, chunk, (chunks * chunk, len(columns)))
+    prepared = [
+        prepare(system, parameters, w.imu, dtype, n * chunk) for w, n in zip(walks, sizes, strict=True)
+    ]
     samples, openings = [], []
-    for c, members in enumerate(columns):
+    for members in columns:
         parts = [prepared[r].samples for r in members]
-        rest = (chunks - filled[c]) * chunk
-        if rest:
-            parts.append(jax.tree.map(lambda x, n=rest: _idle(x, n), parts[-1]))
+        rest = (chunks - sum(sizes[r] for r in members)) * chunk
+        parts.append(jax.tree.map(lambda x, n=rest: _idle(x, n), parts[-1]))
         samples.append(jax.tree.map(lambda *x: jnp.concatenate(x), *parts))
-        at_chunk = np.searchsorted([placed[r][1] for r in members], np.arange(chunks), "right") - 1
+        current = np.searchsorted(first[members], np.arange(chunks), "right") - 1
         stacked = jax.tree.map(lambda *x: jnp.stack(x), *[prepared[r].opening for r in members])
-        openings.append(jax.tree.map(lambda x, i=at_chunk: x[i], stacked))
+        openings.append(jax.tree.map(lambda x, i=current: x[i], stacked))
     together = partial(jax.tree.map, lambda *x: jnp.stack(x, axis=-1))
-    packed = Packed(together(*samples), together(*openings), jnp.asarray(begin), jnp.asarray(slot))
     return Batch(
         names=tuple(w.name for w in walks),
-        packed=packed,
         slots=slots,
-        reference=Reference(*(jnp.asarray(x, dtype) for x in (position, *known))),
-        rows=jnp.asarray(chunk_of_point * slots + slot_of_point),
-        columns=jnp.asarray([placed[r][0] for r in range(len(walks))]),
-        closing=jnp.asarray([placed[r][1] + chunks_of[r] - 1 for r in range(len(walks))]),
+        packed=Packed(together(*samples), together(*openings), jnp.asarray(begin), jnp.asarray(slot)),
+        reference=_reference(walks, dtype),
+        rows=jnp.asarray(rows),
+        columns=jnp.asarray(column),
+        closing=jnp.asarray(first + np.array(sizes) - 1),
     )
+
+
+def _slots(
+    walks: Sequence[Walk], first: np.ndarray, column: np.ndarray, chunk: int, shape: tuple[int, int]
+) -> tuple[np.ndarray, int, np.ndarray]:
+    """The buffer row of each sample that is scored (−1: none), how many rows a chunk needs, and where in
+    the flattened buffers each point comes out, `(K, R)`. Two points on one sample share its row."""
+    slot = np.full(shape, -1)
+    used = np.zeros((shape[0] // chunk, shape[1]), int)
+    most = max(1, *(len(w.index) for w in walks))
+    chunk_of, slot_of = np.zeros((most, len(walks)), int), np.zeros((most, len(walks)), int)
+    for r, w in enumerate(walks):
+        sample, inverse = np.unique(first[r] * chunk + w.index, return_inverse=True)
+        for s in sample:
+            slot[s, column[r]] = used[s // chunk, column[r]]
+            used[s // chunk, column[r]] += 1
+        chunk_of[: len(w.index), r] = sample[inverse] // chunk
+        slot_of[: len(w.index), r] = slot[sample, column[r]][inverse]
+    slots = max(int(used.max()), 1)
+    return slot, slots, chunk_of * slots + slot_of
+
+
+def _reference(walks: Sequence[Walk], dtype: Any) -> Reference:
+    """References side by side in lanes `(R,)`, padded to the longest with points that do not count."""
+    most = max(1, *(len(w.index) for w in walks))
+    padded = np.full((len(walks), most, 3), np.nan)
+    for r, w in enumerate(walks):
+        padded[r, : len(w.index)] = w.position
+    return jax.tree.map(lambda *x: jnp.stack(x, axis=-1), *[reference_of(p, dtype) for p in padded])
 
 
 def _idle(x: Array, n: int) -> Array:

@@ -40,7 +40,7 @@ def roc(statistic: np.ndarray, still: np.ndarray) -> Roc:
         raise ValueError("an ROC needs both still and moving samples among the labels")
     order = np.argsort(np.where(np.isnan(statistic), np.inf, statistic), kind="stable")
     ordered, labels = statistic[order], still[order]
-    last_of_value = np.append(np.flatnonzero(np.diff(ordered) > 0), len(ordered) - 1)
+    last_of_value = np.append(np.flatnonzero(ordered[1:] > ordered[:-1]), len(ordered) - 1)
     detected = np.cumsum(labels)[last_of_value] / labels.sum()
     false_alarm = np.cumsum(~labels)[last_of_value] / (~labels).sum()
     threshold = np.nextafter(ordered[last_of_value], np.inf)
