@@ -6,7 +6,7 @@ In order: the best fixed threshold on the tuning part, with all else as publishe
 noises tuned too; the adaptive gate tuned with the noises, by gradient; a random search of 200 sets over the
 same parameters, and the gradient with a tenth of its filter runs. Errors are PyShoe's ARMSE on the hard gate
 after the best yaw and translation. `--transfer` runs the tuned parameters, untouched, on other recordings.
-The split is half and half by names shuffled with seed 0; nothing is chosen on the held-back half.
+The split is half and half by names shuffled with `--seed`; nothing is chosen on the held-back half.
 """
 
 from __future__ import annotations
@@ -74,11 +74,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/adaptive_gate"))
     parser.add_argument("--iterations", type=int, default=40)
     parser.add_argument("--starts", type=int, default=3)
+    parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     pedjax.configure()
     out = folder(args.out)
     recordings = [pedjax.read(str(path)) for path in sorted(args.folder.glob("*.mat*"))]
-    first, second = pedjax.split(recordings, 0.5, seed=0)
+    first, second = pedjax.split(recordings, 0.5, args.seed)
     tuning, held = [recordings[i] for i in first], [recordings[i] for i in second]
     published = pedjax.system("iez").defaults()
     report: dict[str, Any] = {"tuned_on": [r.name for r in tuning], "held_back": [r.name for r in held]}

@@ -18,8 +18,8 @@ class Roc(NamedTuple):
 
     def at_false_alarm(self, probability: float) -> float:
         """The largest threshold whose false-alarm probability does not exceed this."""
-        at = int(np.searchsorted(self.p_false_alarm, probability, "right")) - 1
-        return float(self.threshold[max(at, 0)])
+        count = int(np.searchsorted(self.p_false_alarm, probability, "right"))
+        return float(self.threshold[count - 1] if count else np.nextafter(self.threshold[0], -np.inf))
 
     def at_detection(self, probability: float) -> float:
         """The smallest threshold that detects with at least this probability."""
@@ -38,7 +38,8 @@ def roc(statistic: np.ndarray, still: np.ndarray) -> Roc:
         raise ValueError(f"statistic {statistic.shape} and labels {still.shape} must both be (T,)")
     if still.all() or not still.any():
         raise ValueError("an ROC needs both still and moving samples among the labels")
-    order = np.argsort(np.where(np.isnan(statistic), np.inf, statistic), kind="stable")
+    statistic = np.where(np.isnan(statistic), np.inf, statistic)
+    order = np.argsort(statistic, kind="stable")
     ordered, labels = statistic[order], still[order]
     last_of_value = np.append(np.flatnonzero(ordered[1:] > ordered[:-1]), len(ordered) - 1)
     detected = np.cumsum(labels)[last_of_value] / labels.sum()

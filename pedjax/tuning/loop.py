@@ -45,8 +45,8 @@ class TuneSettings:
     names: tuple[str, ...]
     loss: str = "armse"
     alignment: str = "yaw_translation"
-    iterations: int = 40
-    starts: int = 4
+    iterations: int = 30
+    starts: int = 2
     spread: float = 0.7
     grid: int = 9
     width: float = 0.25
