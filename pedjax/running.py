@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pedjax import filtering, parameters, rotations
+from pedjax.detectors.segments import clean_stance, stance_id
 from pedjax.detectors.stance import window_samples
 from pedjax.errors import InputError
 from pedjax.packing import Walk, bucket, nominal_rate, prepare
@@ -55,6 +56,14 @@ class Track:
         step = max(round(0.1 / float(np.median(np.diff(self.time)))), 1)
         path = np.concatenate([self.position[::step, :2], self.position[-1:, :2]])
         return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+    def stances(self, merge_s: float = 0.05, drop_s: float = 0.08) -> np.ndarray:
+        """`(T,)` int: 0, 1, 2, ... in each stance, −1 outside, after gaps shorter than `merge_s` are filled
+        and stances shorter than `drop_s` dropped (not causal)."""
+        dt = np.diff(self.time, prepend=self.time[0])
+        return np.asarray(
+            stance_id(clean_stance(jnp.asarray(self.stance > 0.5), jnp.asarray(dt), merge_s, drop_s))
+        )
 
 
 @partial(jax.jit, static_argnames="system")

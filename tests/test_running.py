@@ -1,6 +1,8 @@
 """One recording through one system: the track, its warnings, and what is refused."""
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -10,6 +12,7 @@ import pedjax
 from pedjax import InputError, parameters, rotations
 from pedjax.recording import Recording, Sensor, Stream, inertial
 from tests import tools
+from tests.reference.evaluation import distance_walked
 
 
 @pytest.fixture(scope="module")
@@ -44,8 +47,12 @@ def test_euler_angles_are_those_of_the_attitude(track):
 
 
 def test_distance_does_not_count_the_jitter_of_samples(track):
-    exact = np.linalg.norm(np.diff(track.position[:, :2], axis=0), axis=1).sum()
-    assert 0.9 * exact < track.distance <= exact
+    tenths = [*track.position[::20], track.position[-1]]
+    assert track.distance == pytest.approx(distance_walked(tenths), rel=1e-12)
+    jitter = np.random.default_rng(0).normal(0, 1e-3, track.position.shape)
+    shaken = replace(track, position=track.position + jitter)
+    every = np.linalg.norm(np.diff(shaken.position[:, :2], axis=0), axis=1).sum()
+    assert shaken.distance < 1.02 * track.distance < 1.3 * track.distance < every
     still = replace(track, position=np.zeros_like(track.position))
     assert still.distance == 0.0
 
@@ -149,9 +156,6 @@ def test_defaults_are_the_published_ones(demos, track):
 
 @pytest.mark.slow
 def test_real_walks_stay_near_their_landmarks():
-    import os
-    from pathlib import Path
-
     folder = os.environ.get("PEDJAX_DATA")
     if not folder:
         pytest.skip("PEDJAX_DATA does not name the folder of real recordings")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import pedjax
 from pedjax import InputError
@@ -105,11 +106,11 @@ def test_a_mirrored_path_is_remarked(track, recording):
 
 
 def test_heading_error_takes_off_a_constant(track, recording):
-    from scipy.spatial.transform import Rotation
-
     rng = np.random.default_rng(1)
     noise = rng.normal(0, 2.0, len(track.time))
-    true = Rotation.from_euler("Z", 40.0 + noise, degrees=True) * Rotation.from_matrix(track.attitude)
+    true = Rotation.from_rotvec(np.radians(40.0 + noise)[:, None] * [0, 0, 1]) * Rotation.from_matrix(
+        track.attitude
+    )
     quaternion = true.as_quat()[:, [3, 0, 1, 2]]
     truth = Truth(track.time, track.position, quaternion)
     score = pedjax.evaluate(track, replace(recording, truth=truth))

@@ -26,7 +26,7 @@ from pedjax.scoring import Score, evaluate
 from pedjax.sources import read_all
 from pedjax.sweeping import design
 from pedjax.sweeping import sweep as sweep_sets
-from pedjax.tuning import fingerprint, split
+from pedjax.tuning import fingerprint, refuse_overlap, split
 from pedjax.tuning import tune as tune_system
 
 
@@ -153,6 +153,7 @@ def _columns(track: Track) -> dict[str, Sequence[Any]]:
         columns |= {f"{name}_{a}_{unit}": v.tolist() for a, v in zip("xyz", values.T, strict=True)}
     columns |= {f"{a}_rad": v.tolist() for a, v in zip(("roll", "pitch", "yaw"), track.euler.T, strict=True)}
     columns["stance"] = track.stance.tolist()
+    columns["stance_id"] = track.stances().tolist()
     columns["sigma_horizontal_m"] = np.hypot(track.sigma[:, 6], track.sigma[:, 7]).tolist()
     columns["sigma_yaw_rad"] = track.sigma[:, 2].tolist()
     return columns
@@ -210,6 +211,7 @@ def tune(args: argparse.Namespace) -> int:
         held_paths += [paths[i] for i in second]
         held += [recordings[i] for i in second]
         paths, recordings = [paths[i] for i in first], [recordings[i] for i in first]
+    refuse_overlap(config.tuned_on, held)  # the given parameters may have been tuned on them already
     with tqdm(total=settings.iterations, unit="step", disable=not sys.stderr.isatty()) as bar:
 
         def progress(iteration: int, total: int, best: float) -> None:

@@ -30,7 +30,7 @@ def trajectory(
         before = aligned(other[1], recording, alignment)
         plan.plot(before[:, 0], before[:, 1], color="0.6", lw=0.8, label=other[0])
         profile.plot(track.time, before[:, 2], color="0.6", lw=0.8)
-    plan.plot(path[:, 0], path[:, 1], color="C0", lw=1.2, label=track.system)
+    plan.plot(path[:, 0], path[:, 1], color="C0", lw=1.2, label=track.system if other is None else "after")
     plan.plot(*path[0, :2], "o", color="C2", ms=7, label="start")
     plan.plot(*path[-1, :2], "s", color="C3", ms=6, label="end")
     index, position = points_of(recording, _clock(track), None)

@@ -111,7 +111,7 @@ def demo_walk(seed: int = 0, rate: float = 200.0, laps: int = 2) -> Recording:
     rng = np.random.default_rng([20, seed])
     speed = rng.uniform(0.0, 1.0)
     points, headings = _route(rng, 1.0 + 0.6 * speed, laps)
-    stride_s = 1.5 - 0.6 * speed
+    stride_s = 1.35 - 0.45 * speed
     duration = 2 * _STILL + stride_s * (len(points) - 1)
     time = np.arange(int(duration * rate)) / rate
     with double_precision():
@@ -121,8 +121,8 @@ def demo_walk(seed: int = 0, rate: float = 200.0, laps: int = 2) -> Recording:
             stride_s=jnp.asarray(stride_s),
             stance=jnp.asarray(0.5 - 0.12 * speed),
             lift=jnp.asarray(0.08 + 0.06 * speed),
-            toe_off=jnp.asarray(0.5 + 0.5 * speed),
-            heel_strike=jnp.asarray(0.2 + 0.25 * speed),
+            toe_off=jnp.asarray(0.85 + 0.3 * speed),
+            heel_strike=jnp.asarray(0.25 + 0.2 * speed),
         )
         position, force, spin = (np.asarray(x) for x in _signals_over_time(jnp.asarray(time), gait))
     n = len(time)

@@ -41,11 +41,14 @@ class Gate:
     `follow_time`), so that a runner's foot, never as still as a stroller's, is found still too; and the
     standard deviation of the zero velocity grows as (1 + statistic/(threshold e^floor))^growth, since a foot
     that turns also moves. follow = 0 and growth = 0 is `fixed`.
+
+    With either, `hysteresis` multiplies the threshold while the foot is held still already.
     """
 
     kind: str = setting("fixed", choices=("fixed", "adaptive"), source="fixed: published")
     width: Array = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: the published hard test")
     straight_through: bool = setting(False, source=_KIT)
+    hysteresis: Array = leaf(1.0, unit="1", low=1.0, high=100.0, source="1: published")
     follow: Array = leaf(0.0, unit="1", low=-0.5, high=1.5, scale="linear", source="0: published")
     follow_time: Array = leaf(0.6, unit="s", low=0.05, high=30.0, source=_KIT)
     growth: Array = leaf(0.0, unit="1", low=-0.5, high=3.0, scale="linear", source="0: published")
@@ -123,11 +126,12 @@ class Sample(NamedTuple):
 
 
 class State(NamedTuple):
-    """Estimate, covariance, recent level of the log statistic, and whether all was finite so far."""
+    """Estimate, covariance, recent level of the log statistic, last weight, and whether all was finite."""
 
     navigation: Navigation
     P: Covariance
     level: Array
+    still: Array
     healthy: Array
 
 
@@ -157,7 +161,7 @@ def start(p: IezParameters, opening: Array) -> State:
         "v": p.initial.velocity * ones,
         "a": p.initial.accelerometer_bias * ones,
     }
-    return State(nav, covariance.diagonal(deviations), like, jnp.ones(shape, bool))
+    return State(nav, covariance.diagonal(deviations), like, like, jnp.ones(shape, bool))
 
 
 def step(p: IezParameters, state: State, sample: Sample) -> tuple[State, Output]:
@@ -191,11 +195,12 @@ def step(p: IezParameters, state: State, sample: Sample) -> tuple[State, Output]
     )
 
     published = stance.log_ratio(p.stance, evidence, p.gravity)
-    level, log_ratio, sigma = state.level, published, p.updates.zero_velocity
+    log_ratio = published - state.still * jnp.log(p.gate.hysteresis)
+    level, sigma = state.level, p.updates.zero_velocity
     if p.gate.kind == "adaptive":
         bounded = jnp.clip(published, -_FAR, _FAR)
         level = level + dt / (dt + p.gate.follow_time) * (bounded - level)
-        log_ratio = published - p.gate.follow * level
+        log_ratio = log_ratio - p.gate.follow * level
         sigma = sigma * jnp.exp(p.gate.growth * jnp.logaddexp(bounded - p.gate.floor, 0.0))
     weight = gate(log_ratio, p.gate.width, p.gate.straight_through)
     P, correction = covariance.update(P, measurements.zero_velocity(nav, sigma), weight)
@@ -206,7 +211,7 @@ def step(p: IezParameters, state: State, sample: Sample) -> tuple[State, Output]
         nav = measurements.correct(nav, correction)
 
     healthy = state.healthy & jnp.isfinite(jnp.sum(nav.velocity, 0)) & covariance.is_positive(P)
-    state = State(nav, P, level, healthy)
+    state = State(nav, P, level, weight, healthy)
     return state, Output(nav, weight, log_ratio, covariance.variances(P), healthy)
 
 

@@ -141,7 +141,23 @@ def test_adaptive_gate(minute, minute_recording):
     compare(track, minute, params, sigma_zupt=sigma)
 
 
-def test_adaptive_gate_at_rest_is_the_published_one(minute_recording):
+@pytest.mark.parametrize("width", [0.0, 0.25])
+def test_hysteresis_raises_the_threshold_while_still(minute, minute_recording, width):
+    params = tools.iez(gate__hysteresis=3.0, gate__width=width, **tools.shoe_sigmas())
+    track = pedjax.run(minute_recording, params=params)
+    published = shoe_ratio(minute, params)
+    weight, still = np.zeros(len(published)), 0.0
+    for k, ratio in enumerate(published):
+        now = ratio - still * np.log(3.0)
+        still = float(now < 0) if width == 0 else 1 / (1 + np.exp(now / width))
+        weight[k] = still
+    np.testing.assert_allclose(track.stance, weight, atol=1e-9)
+    plain = pedjax.run(minute_recording, params=tools.iez(gate__width=width, **tools.shoe_sigmas()))
+    assert track.stance.sum() > plain.stance.sum()
+    compare(track, minute, params)
+
+
+def test_adaptive_gate_without_coefficients_is_the_published_one(minute_recording):
     own = tools.shoe_sigmas()
     published = pedjax.run(minute_recording, params=tools.iez(**own))
     adaptive = pedjax.run(minute_recording, params=tools.iez(gate__kind="adaptive", **own))

@@ -16,13 +16,14 @@ from tests import tools
 from tests.reference.walk import walk as make_walk
 
 IEZ = SYSTEMS["iez"]
-HALVINGS = 8
+HALVINGS = 10
 FIRST_STEP = 0.08
 """In free units, about e-folds."""
 
 VALUES = {
     "gate.kind": "adaptive",
     "gate.width": 0.25,
+    "gate.hysteresis": 1.8,
     "gate.follow": 0.3,
     "gate.follow_time": 0.8,
     "gate.growth": 0.4,
@@ -43,6 +44,11 @@ VALUES = {
     "stance.shoe.sigma_gyroscope": 0.005,
     "stance.shoe.threshold": 1500.0,
     "stance.mag.threshold": 0.02,
+    "stance.eps.energy": 1.5,
+    "stance.eps.product": 0.35,
+    "stance.eps.total": 0.008,
+    "stance.eps.rate_variance": 1e-6,
+    "stance.eps.rate_energy": 3e-4,
 }
 """A point where every number matters."""
 
@@ -62,7 +68,7 @@ def scored(truth):
 
 def at(truth, detector):
     c = truth.initial_attitude
-    heading = float(np.arctan2(c[1, 0], c[0, 0]))
+    heading = float(np.arctan2(c[1, 0], c[0, 0])) + 0.3  # far from its best, where the loss has a sharp bend
     return parameters.replace(
         IEZ.defaults(), {**VALUES, "stance.detector": detector, "initial.heading": heading}
     )
@@ -139,12 +145,13 @@ def reverse(everything):
 
 
 def assert_equal_slopes(gradient, differences, names, tolerance=1e-5):
-    """Within the tolerance, of which the differences' own error may use a tenth."""
-    worst = {}
-    for name in names:
-        slope, error = differences[name]
-        assert error < 0.1 * tolerance * abs(slope), f"{name}: the difference {slope} is only good to {error}"
-        worst[name] = abs(gradient[name] - slope) / abs(slope)
+    """Within the tolerance, to which the differences themselves must be known."""
+    slopes = {name: differences[name] for name in names}
+    vague = {
+        n: (slope, error) for n, (slope, error) in slopes.items() if error > 0.1 * tolerance * abs(slope)
+    }
+    assert not vague, "differences that are not good enough to judge by"
+    worst = {n: abs(gradient[n] - slope) / abs(slope) for n, (slope, _) in slopes.items()}
     assert max(worst.values()) < tolerance, {n: w for n, w in worst.items() if w >= tolerance}
     return worst
 
@@ -157,7 +164,8 @@ def test_reverse_gradient_of_every_leaf_equals_differences(everything, reverse):
     alive = [n for n in everything.names if influences(n, "shoe")]
     dead = [n for n in everything.names if not influences(n, "shoe")]
     assert len(alive) >= 20
-    assert_equal_slopes(gradient, differences, alive)
+    worst = assert_equal_slopes(gradient, differences, alive)
+    print({name: f"{error:.1e}" for name, error in worst.items()})
     for name in dead:
         assert gradient[name] == 0.0, name
         assert spread[everything.names.index(name)] == 0.0, name
