@@ -145,6 +145,16 @@ def prepare(system: System, parameters: Any, imu: Inertial, dtype: Any, padded: 
     return found._replace(samples=jax.tree.map(lambda x: x[:padded], found.samples))
 
 
+def distinct(names: Sequence[str]) -> list[str]:
+    """The names, a repeated one with a number: a, b, a__2."""
+    seen: dict[str, int] = {}
+    found = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        found.append(name if seen[name] == 1 else f"{name}__{seen[name]}")
+    return found
+
+
 def _columns(sizes: Sequence[int]) -> list[list[int]]:
     """Items of those sizes in columns: as many columns as cost at most a tenth more than the tightest way."""
     counts = np.unique(np.geomspace(1, len(sizes), 200).astype(int))
@@ -195,7 +205,7 @@ def pack(
         openings.append(jax.tree.map(lambda x, i=current: x[i], stacked))
     together = partial(jax.tree.map, lambda *x: jnp.stack(x, axis=-1))
     return Batch(
-        names=tuple(w.name for w in walks),
+        names=tuple(distinct([w.name for w in walks])),
         slots=slots,
         packed=Packed(together(*samples), together(*openings), jnp.asarray(begin), jnp.asarray(slot)),
         reference=_reference(walks, dtype),

@@ -18,6 +18,7 @@ from pedjax.detectors.stance import DETECTORS
 from pedjax.errors import InputError, suggest
 from pedjax.labels import still_labels
 from pedjax.output import folder, write_figure, write_json, write_table, write_toml
+from pedjax.packing import distinct
 from pedjax.recording import Recording, inertial
 from pedjax.roc import detector_roc
 from pedjax.running import Track
@@ -28,6 +29,8 @@ from pedjax.sweeping import design
 from pedjax.sweeping import sweep as sweep_sets
 from pedjax.tuning import fingerprint, refuse_overlap, split
 from pedjax.tuning import tune as tune_system
+
+_MOST_PICTURES = 12  # of single walks while tuning
 
 
 def _config(args: argparse.Namespace) -> Config:
@@ -67,7 +70,7 @@ def info(args: argparse.Namespace) -> int:
     recordings = read_all(args.recordings, args.format, args.sensor)
     out = folder(args.out) if args.out else None
     described = []
-    for path, recording in zip(args.recordings, recordings, strict=True):
+    for path, recording, stem in zip(args.recordings, recordings, _stems(recordings), strict=True):
         _say(*_describe(path, recording))
         sensors = {n: {"rate_hz": s.gyroscope.rate} for n, s in recording.sensors.items()}
         described.append(
@@ -76,7 +79,7 @@ def info(args: argparse.Namespace) -> int:
         )  # fmt: skip
         if out is not None and not args.no_figures:
             for name in recording.sensors:
-                target = out / f"{_stem(recording)}_{name}_signals.png"
+                target = out / f"{stem}_{name}_signals.png"
                 write_figure(target, plots.raw_signals(recording, name))
                 _say(f"  drawn: {target}")
     if out is not None:
@@ -118,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
     chosen, params = resolve(config)
     recordings = read_all(config.recordings, args.format)
     entries = []
-    for path, recording in zip(config.recordings, recordings, strict=True):
+    for path, recording, stem in zip(config.recordings, recordings, _stems(recordings), strict=True):
         track = run_system(recording, chosen, params, sensor=config.sensor, clock=config.clock)
         score = evaluate(track, recording, config.alignment)
         entry = _entry(path, track, score)
@@ -126,12 +129,12 @@ def run(args: argparse.Namespace) -> int:
             entry["tuned_on"] = True
         entries.append(entry)
         _say(_line(path, track, score, entry.get("tuned_on", False)))
-        write_table(out / f"{_stem(recording)}_track.csv", _columns(track))
+        write_table(out / f"{stem}_track.csv", _columns(track))
         if config.figures:
             picture = plots.trajectory(track, recording, score, config.alignment)
-            write_figure(out / f"{_stem(recording)}_trajectory.png", picture)
+            write_figure(out / f"{stem}_trajectory.png", picture)
             write_figure(
-                out / f"{_stem(recording)}_stance.png",
+                out / f"{stem}_stance.png",
                 plots.stance_over_signals(track, recording, config.sensor),
             )
     _metrics(out, config, entries)
@@ -140,8 +143,10 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _stem(recording: Recording) -> str:
-    return Path(recording.name.replace(":", "_")).name.removesuffix(".gz").rsplit(".", 1)[0]
+def _stems(recordings: Sequence[Recording]) -> list[str]:
+    """Names for the files of each recording's results, each once."""
+    names = [Path(r.name.replace(":", "_")).name.removesuffix(".gz").rsplit(".", 1)[0] for r in recordings]
+    return distinct(names)
 
 
 def _columns(track: Track) -> dict[str, Sequence[Any]]:
@@ -233,18 +238,16 @@ def tune(args: argparse.Namespace) -> int:
     )
     write_toml(out / "config.toml", resolved(config, params, tune=_tune_section(settings)))
     entries = []
-    for group, group_paths, group_recordings in (
-        ("tuned_on", paths, recordings),
-        ("held_back", held_paths, held),
-    ):
-        for path, recording in zip(group_paths, group_recordings, strict=True):
-            track = run_system(recording, chosen, tuned.params, sensor=config.sensor, clock=config.clock)
-            score = evaluate(track, recording, config.alignment)
-            entries.append({**_entry(path, track, score), "part": group})
-            if config.figures and len(entries) <= 12:
-                first_track = run_system(recording, chosen, params, sensor=config.sensor, clock=config.clock)
-                picture = plots.trajectory(track, recording, score, config.alignment, ("before", first_track))
-                write_figure(out / f"{_stem(recording)}_trajectory.png", picture)
+    parts = [("tuned_on", p, r) for p, r in zip(paths, recordings, strict=True)]
+    parts += [("held_back", p, r) for p, r in zip(held_paths, held, strict=True)]
+    for (part, path, recording), stem in zip(parts, _stems([*recordings, *held]), strict=True):
+        track = run_system(recording, chosen, tuned.params, sensor=config.sensor, clock=config.clock)
+        score = evaluate(track, recording, config.alignment)
+        entries.append({**_entry(path, track, score), "part": part})
+        if config.figures and len(entries) <= _MOST_PICTURES:
+            given_track = run_system(recording, chosen, params, sensor=config.sensor, clock=config.clock)
+            picture = plots.trajectory(track, recording, score, config.alignment, ("before", given_track))
+            write_figure(out / f"{stem}_trajectory.png", picture)
     before, after = _summary(tuned.before), _summary(tuned.after)
     _metrics(
         out, config, entries, loss=settings.loss, before=before, after=after, filter_runs=tuned.runs,
