@@ -16,15 +16,14 @@ from pedjax import __version__, parameters, plots
 from pedjax.config import Config, load, override, resolve, resolved, sweep_settings, tune_settings
 from pedjax.detectors.stance import DETECTORS
 from pedjax.errors import InputError, suggest
-from pedjax.labels import still_labels
 from pedjax.output import folder, write_figure, write_json, write_table, write_toml
 from pedjax.packing import distinct
 from pedjax.recording import Recording, inertial
-from pedjax.roc import detector_roc
 from pedjax.running import Track
 from pedjax.running import run as run_system
 from pedjax.scoring import Score, evaluate
 from pedjax.sources import read_all
+from pedjax.stance_roc import detector_roc, still_labels
 from pedjax.sweeping import design
 from pedjax.sweeping import sweep as sweep_sets
 from pedjax.tuning import fingerprint, refuse_overlap, split

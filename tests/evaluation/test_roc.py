@@ -6,9 +6,8 @@ import pytest
 import pedjax
 from pedjax.detectors.stance import DETECTORS
 from pedjax.evaluation import roc
-from pedjax.labels import still_labels
 from pedjax.recording import inertial
-from pedjax.roc import detector_roc
+from pedjax.stance_roc import detector_roc, still_labels
 from tests import tools
 from tests.reference import evaluation as oracle
 

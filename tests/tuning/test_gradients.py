@@ -39,7 +39,7 @@ VALUES = {
     "initial.heading_sigma": 0.05,
     "initial.gyroscope_bias": 0.005,
     "initial.accelerometer_bias": 0.05,
-    "initial.velocity": 0.02,
+    "initial.velocity": 0.3,
     "stance.shoe.sigma_accelerometer": 0.01,
     "stance.shoe.sigma_gyroscope": 0.005,
     "stance.shoe.threshold": 1500.0,
@@ -47,7 +47,7 @@ VALUES = {
     "stance.eps.energy": 1.5,
     "stance.eps.product": 0.35,
     "stance.eps.total": 0.008,
-    "stance.eps.rate_variance": 1e-6,
+    "stance.eps.rate_variance": 2e-8,
     "stance.eps.rate_energy": 3e-4,
 }
 """A point where every number matters."""
@@ -98,9 +98,9 @@ class Loss:
         values = {n: self.specs[n].from_free(x) for n, x in free.items()}
         return np.asarray(objective.losses(self.problem, self.cast, values, self.batch))[:, 0]
 
-    def differences(self):
+    def differences(self, first_step=FIRST_STEP):
         """Slope of each leaf by Ridders' extrapolation of central differences, and its own error estimate."""
-        steps = FIRST_STEP * 0.5 ** np.arange(HALVINGS)
+        steps = first_step * 0.5 ** np.arange(HALVINGS)
         both = np.concatenate([steps, -steps])
         lanes = len(self.names) * len(both)
         free = {n: np.full(lanes, float(x[0])) for n, x in self.free.items()}
@@ -202,7 +202,8 @@ def test_thresholds_of_the_other_detectors(truth, scored, detector):
     names = [n for n in tools.LEAVES if n.startswith(f"stance.{detector}.")]
     loss = Loss(truth, scored, detector, [*names, "stance.shoe.threshold"])
     _, gradient = loss.gradient()
-    differences, spread = loss.differences()
+    # small steps: the worst of EPS's five and the bounded level bend where two of them cross
+    differences, spread = loss.differences(2e-3)
     matter = [n for i, n in enumerate(names) if spread[i] > 0]
     assert matter
     assert_equal_slopes(gradient, differences, matter)

@@ -1,10 +1,18 @@
-"""Stance labels from a reference: still where the true velocity is small."""
+"""ROC of a stance detector over recordings, with labels from the true velocity."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
 import numpy as np
 
+from pedjax import parameters
+from pedjax.detectors import stance
 from pedjax.errors import InputError
+from pedjax.evaluation.roc import Roc, roc
+from pedjax.packing import nominal_rate
 from pedjax.recording import Inertial, Recording
 
 
@@ -24,3 +32,24 @@ def still_labels(
     smooth = np.stack([np.convolve(v, kernel, mode="same") for v in velocity.T], axis=1)
     speed = np.interp(imu.time, time, np.linalg.norm(smooth, axis=1), left=np.inf, right=np.inf)
     return speed < below
+
+
+def detector_roc(
+    params: Any, detector: str, samples: Sequence[Inertial], labels: Sequence[np.ndarray]
+) -> Roc:
+    """ROC of a detector, with the window and sigmas of `params.stance`, over all samples together."""
+    chosen = parameters.replace(params, {"stance.detector": detector}).stance
+    dtype = jnp.result_type(float)
+    found = [
+        np.asarray(
+            stance.statistic(
+                parameters.cast(chosen, dtype),
+                jnp.asarray(s.specific_force, dtype),
+                jnp.asarray(s.angular_rate, dtype),
+                nominal_rate(s),
+                params.gravity,
+            )
+        )
+        for s in samples
+    ]
+    return roc(np.concatenate(found), np.concatenate(labels))
