@@ -101,7 +101,7 @@ def tune(
     training, validation = _part(len(walks), settings)
     problem = Problem(chosen, settings.names, settings.loss, settings.alignment)
     with double_precision():
-        hard = parameters.cast(params, float)
+        hard = parameters.cast(parameters.replace(params, {"gate.width": 0.0}), float)
         everything = pack(chosen, hard, walks)
         search = _Search(problem, settings, specs, hard, walks, training, validation)
         best = search.run(progress)
@@ -128,6 +128,8 @@ def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
         if name not in known:
             parameters.get(params, name)  # raises with a suggestion where the path is unknown
             raise InputError(f"'{name}' is a setting, not a number that can be tuned")
+        if name == "gate.width":
+            raise InputError("gate.width cannot be tuned: errors are judged on the hard gate; set tune.width")
     if settings.loss not in LOSSES:
         raise InputError(f"loss '{settings.loss}' is unknown; known are: {', '.join(LOSSES)}")
     if settings.alignment not in ALIGNMENTS:
@@ -179,12 +181,9 @@ class _Search:
         validation: Sequence[int],
     ) -> None:
         self.problem, self.settings, self.specs, self.params = problem, settings, specs, params
-        soft = {"gate.width": settings.width}
-        self.soft = parameters.cast(
-            parameters.replace(params, {**soft, "gate.straight_through": settings.straight_through}), float
-        )
-        chunked = [walks[i] for i in training]
-        self.batch = pack(problem.system, params, chunked)
+        soft = {"gate.width": settings.width, "gate.straight_through": settings.straight_through}
+        self.soft = parameters.cast(parameters.replace(params, soft), float)
+        self.batch = pack(problem.system, params, [walks[i] for i in training])
         self.check = pack(problem.system, params, [walks[i] for i in validation]) if validation else None
         self.share = len(training) / len(walks)
         self.history: list[dict[str, Any]] = []
@@ -237,8 +236,8 @@ class _Search:
             else objective.soft_loss_and_gradient_forward
         )
         given = {n: np.array([float(parameters.get(self.params, n))]) for n in self.specs}
-        best_loss, best = self._judge(given, iteration=-1)[0], given
-        best_values = {n: float(x[0]) for n, x in best.items()}
+        best_loss = float(self._judge(given, iteration=-1)[0])
+        best_values = {n: float(x[0]) for n, x in given.items()}
         stale = 0
         for iteration in range(settings.iterations + 1):
             if iteration % settings.check_every == 0 or iteration == settings.iterations:
@@ -251,7 +250,7 @@ class _Search:
                 else:
                     stale += 1
                 if progress is not None:
-                    progress(iteration, settings.iterations, float(best_loss))
+                    progress(iteration, settings.iterations, best_loss)
                 if stale > settings.patience or iteration == settings.iterations:
                     break
             free_now = {n: jnp.asarray(x) for n, x in free.items()}
@@ -293,7 +292,7 @@ def _report(
     problem: Problem, names: tuple[str, ...], tuned_on: Batch, held: Batch | None, params: Any
 ) -> dict[str, dict[str, float]]:
     """Hard-gate loss of every recording."""
-    hard = parameters.cast(params, float)
+    hard = parameters.cast(parameters.replace(params, {"gate.width": 0.0}), float)
     values = {n: jnp.asarray([parameters.get(params, n)], float) for n in names}
     report = {}
     for key, batch in (("tuned_on", tuned_on), ("held_back", held)):

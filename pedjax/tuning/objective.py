@@ -47,8 +47,9 @@ def soft_loss_and_gradient(
     def total(free: dict[str, Array]) -> tuple[Array, Array]:
         specs = parameters.specs(params)
         values = {path: specs[path].from_free(x) for path, x in free.items()}
-        each = jnp.mean(losses(problem, params, values, batch), axis=-1)
-        return jnp.sum(jnp.where(jnp.isfinite(each), each, 0.0)), each
+        each = losses(problem, params, values, batch)
+        finite = jnp.isfinite(each)  # a recording that diverged gives no direction
+        return jnp.sum(jnp.mean(jnp.where(finite, each, 0.0), axis=-1)), jnp.mean(each, axis=-1)
 
     gradient, each = jax.grad(total, has_aux=True)(free)
     return each, gradient

@@ -110,7 +110,6 @@ def test_the_winner_is_the_best_that_was_judged(tuned):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="reports are keyed by the recording's name")
 def test_recordings_of_one_name_are_each_reported(walks):
     same = [replace(r, name="walk") for r in walks[:2]]
     few = settings(names=("gravity",), mode="forward", iterations=1, starts=1, grid=0)
