@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
 
 _MIN_SAMPLES = 20
 _AXES = {"x": 0, "y": 1, "z": 2}
+_UP = ("+x", "-x", "+y", "-y", "+z", "-z")
+_RATES = (20.0, 5000.0)  # Hz, between which a foot can be navigated by
 
 
 def check(recording: Recording) -> list[str]:
@@ -23,6 +26,10 @@ def check(recording: Recording) -> list[str]:
 
 def _check(recording: Recording) -> list[str]:
     findings: list[str] = []
+    if not isinstance(recording.sensors, Mapping) or any(
+        not hasattr(sensor, "gyroscope") for sensor in recording.sensors.values()
+    ):
+        raise InputError(f"{recording.name}: sensors must map names to Sensor, as in {{'foot': Sensor(...)}}")
     if not recording.sensors:
         raise InputError(f"{recording.name}: no sensor in it; give at least one, usually named 'foot'")
     for name, sensor in recording.sensors.items():
@@ -31,6 +38,8 @@ def _check(recording: Recording) -> list[str]:
         _check_stream(where, "gyroscope", sensor.gyroscope, recording.clock, findings)
         if sensor.magnetometer is not None:
             _check_stream(where, "magnetometer", sensor.magnetometer, recording.clock, findings)
+        if sensor.up is not None and sensor.up not in _UP:
+            raise InputError(f"{where}: up = '{sensor.up}' must be one of {', '.join(_UP)}")
         _check_overlap(where, sensor)
         _check_gyroscope(where, sensor, findings)
         _check_gravity(where, sensor, findings)
@@ -66,6 +75,11 @@ def _check_stream(where: str, kind: str, stream: Stream, clock: str, findings: l
         )
     if not (steps > 0).any():
         raise InputError(f"{where}: all time stamps of the {kind} are equal; give the sampling rate instead")
+    if kind != "magnetometer" and not _RATES[0] <= stream.rate <= _RATES[1]:
+        raise InputError(
+            f"{where}: the {kind} samples at {stream.rate:.3g} Hz, where {_RATES[0]:g} to {_RATES[1]:g} is "
+            "expected; check the unit of its time (ms for s?) or the rate that was given"
+        )
     duplicates = int((steps == 0).sum())
     if duplicates:
         findings.append(f"{where}: {duplicates} duplicate time stamps of the {kind}; the repeats are dropped")
@@ -230,5 +244,12 @@ def _check_truth(recording: Recording) -> None:
         )
     if not np.isfinite(truth.position).all(axis=1).any():
         raise InputError(f"{recording.name}: the truth has no valid position")
+    start = min(s.gyroscope.time[0] for s in recording.sensors.values())
+    stop = max(s.gyroscope.time[-1] for s in recording.sensors.values())
+    if not np.isfinite(truth.time).all() or truth.time[-1] < start or truth.time[0] > stop:
+        raise InputError(
+            f"{recording.name}: the truth ({truth.time[0]:.2f} to {truth.time[-1]:.2f} s) does not overlap "
+            f"the recording ({start:.2f} to {stop:.2f} s); bring them to one time base"
+        )
     if (np.diff(truth.time) < 0).any():
         raise InputError(f"{recording.name}: the truth's time goes backwards; sort it")

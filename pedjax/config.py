@@ -11,6 +11,7 @@ from typing import Any
 from pedjax import parameters
 from pedjax.errors import InputError, suggest
 from pedjax.recording import Clock
+from pedjax.sources import is_demo
 from pedjax.system import System
 from pedjax.systems import system as find_system
 from pedjax.tuning import TuneSettings
@@ -66,15 +67,31 @@ _KINDS: dict[str, tuple[type, ...]] = {
 }
 
 
-def load(path: str | Path) -> Config:
-    """Read and check a config, a file or one of those that come with the package (`presets`); recordings
-    in it are relative to its own folder."""
-    path = presets().get(str(path), Path(path))
+def load(*paths: str | Path) -> Config:
+    """Read and check configs, files or those that come with the package (`presets`): a later one overrides
+    an earlier one key by key, parameters one by one. Recordings are relative to their config's folder."""
+    merged: dict[str, Any] = {}
+    for path in paths:
+        raw = _read(presets().get(str(path), Path(path)))
+        for key in ("tune", "sweep", "parameters"):
+            if key in raw:
+                flatten = parameters.flatten if key == "parameters" else dict
+                raw[key] = {**merged.get(key, {}), **flatten(raw[key])}
+        raw["tuned_on"] = (*merged.get("tuned_on", ()), *raw.get("tuned_on", ()))
+        merged |= raw
+    config = Config(**merged, origin=", ".join(map(str, paths)) or "defaults")
+    check(config)
+    return config
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The keys of one file, each known and of its kind."""
     try:
         with path.open("rb") as file:
             raw = tomllib.load(file)
     except FileNotFoundError:
-        raise InputError(f"{path}: there is no such config file{suggest(str(path), presets())}") from None
+        known = suggest(str(path), presets())
+        raise InputError(f"{path}: there is no such config file{known}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error})") from None
     except tomllib.TOMLDecodeError as error:
@@ -86,11 +103,9 @@ def load(path: str | Path) -> Config:
             kinds = " or ".join(kind.__name__ for kind in _KINDS[key])
             raise InputError(f"{path}: {key} = {value!r} must be a {kinds}")
     for key in ("recordings", "held_back"):
-        raw[key] = tuple(_beside(path.parent, str(name)) for name in raw.get(key, ()))
-    raw["tuned_on"] = tuple(raw.get("tuned_on", ()))
-    config = Config(**raw, origin=str(path))
-    check(config)
-    return config
+        if key in raw:
+            raw[key] = tuple(_beside(path.parent, str(name)) for name in raw[key])
+    return raw
 
 
 def presets() -> dict[str, Path]:
@@ -101,7 +116,7 @@ def presets() -> dict[str, Path]:
 
 
 def _beside(home: Path, name: str) -> str:
-    return name if name.startswith("demo") or Path(name).is_absolute() else str(home / name)
+    return name if is_demo(name) or Path(name).is_absolute() else str(home / name)
 
 
 def check(config: Config) -> None:
@@ -109,6 +124,8 @@ def check(config: Config) -> None:
     resolve(config)
     tune_settings(config)
     sweep_settings(config)
+    if config.seed < 0:
+        raise InputError(f"{config.origin}: seed = {config.seed} must not be negative")
     if config.split is not None and not 0 < config.split < 1:
         raise InputError(f"{config.origin}: split = {config.split} must lie between 0 and 1")
 
@@ -189,6 +206,8 @@ def tune_settings(config: Config) -> TuneSettings:
             names[0:1] = ["stance.eps.energy", "stance.eps.rate_energy"]
         given["names"] = [*names, *(ADAPTIVE_NAMES if params.gate.kind == "adaptive" else ())]
     given.setdefault("seed", config.seed)
+    if config.alignment != "auto":
+        given.setdefault("alignment", config.alignment)
     return _settings(TuneSettings, given, config.origin, "tune")
 
 
@@ -196,6 +215,8 @@ def sweep_settings(config: Config) -> SweepSettings:
     """The config's sweep settings; without ranges, a sensible pair is swept."""
     _, params = resolve(config)
     given = dict(config.sweep)
+    if not isinstance(given.get("ranges", {}), Mapping):
+        raise InputError(f"{config.origin}: sweep.ranges must be a table of path = [low, high]")
     if not given.get("ranges"):
         detector = params.stance.detector
         first = "stance.eps.energy" if detector == "eps" else f"stance.{detector}.threshold"
@@ -221,9 +242,12 @@ def sweep_settings(config: Config) -> SweepSettings:
 
 def resolved(config: Config, params: Any, **extra: Any) -> dict[str, Any]:
     """The config with every parameter spelled out, as it is written to `config.toml`."""
-    whole: dict[str, Any] = {"system": config.system, "recordings": list(config.recordings)}
-    if config.held_back:
-        whole["held_back"] = list(config.held_back)
+    whole: dict[str, Any] = {"system": config.system}
+    for key in ("recordings", "held_back", "tuned_on"):
+        names = getattr(config, key)
+        if names:  # files by their whole path: the config may be loaded from anywhere
+            here = key == "tuned_on"
+            whole[key] = [n if here or is_demo(n) else str(Path(n).resolve()) for n in names]
     for key in ("split", "clock"):
         if getattr(config, key) is not None:
             whole[key] = getattr(config, key)

@@ -37,6 +37,12 @@ class Walk:
     position: np.ndarray
 
 
+def nearest(time: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Index of the sample of ascending `time` nearest to each of `at`."""
+    index = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+    return index - (at - time[index - 1] < time[index] - at)
+
+
 def points_of(recording: Recording, imu: Inertial, truth_hz: float | None) -> tuple[np.ndarray, np.ndarray]:
     """Sample index `(K,)` and position `(K, 3)` of the landmarks, or of the dense truth where there are
     none, thinned to `truth_hz` (None: every truth sample). Empty where there is neither."""
@@ -52,9 +58,16 @@ def points_of(recording: Recording, imu: Inertial, truth_hz: float | None) -> tu
             time, position = time[::every], position[::every]
     else:
         return np.zeros(0, int), np.zeros((0, 3))
-    nearest = np.clip(np.searchsorted(imu.time, time), 1, len(imu.time) - 1)
-    nearest -= time - imu.time[nearest - 1] < imu.time[nearest] - time
-    return nearest, position
+    index = nearest(imu.time, time)
+    far = np.abs(imu.time[index] - time) > max(2.0 / imu.rate, 0.05)
+    if recording.landmarks is None:  # dense truth: what falls into a gap is left out
+        return index[~far], position[~far]
+    if far.any():
+        raise InputError(
+            f"{recording.name}: landmark {int(far.argmax())} at {time[far.argmax()]:.3f} s has no inertial "
+            "sample near it (a gap, or a stream that is shorter than the others); remove it"
+        )
+    return index, position
 
 
 def walk(

@@ -44,11 +44,6 @@ class Spec:
         inner = self._start + self._range * jax.nn.sigmoid(self._gain * jnp.asarray(free))
         return jnp.exp(inner) if self.scale == "log" else inner
 
-    def between(self, fraction: ArrayLike) -> Array:
-        """The value at that fraction of the way from `low` to `high`, on the leaf's own scale."""
-        inner = self._start + self._range * jnp.asarray(fraction)
-        return jnp.exp(inner) if self.scale == "log" else inner
-
     def _forward(self, value: ArrayLike) -> Array:
         return jnp.log(jnp.asarray(value)) if self.scale == "log" else jnp.asarray(value)
 
@@ -175,10 +170,9 @@ def replace(tree: P, new: Mapping[str, Any], origin: str = "parameters") -> P:
 
 
 def _checked_leaf(path: str, value: Any, spec: Spec, origin: str) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{origin}: {path} = {value!r} is not a number; its unit is {spec.unit}") from None
+    if isinstance(value, bool | str) or not np.isscalar(value):
+        raise InputError(f"{origin}: {path} = {value!r} is not a number; its unit is {spec.unit}")
+    number = float(value)  # type: ignore[arg-type]
     slack = 1e-9 * max(abs(spec.low), abs(spec.high)) if spec.scale == "linear" else 0.0
     if not spec.low * (1 - 1e-9) - slack <= number <= spec.high * (1 + 1e-9) + slack:
         raise InputError(

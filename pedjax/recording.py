@@ -21,6 +21,16 @@ STANDARD_GRAVITY = 9.80665
 Clock = Literal["stamps", "uniform", "resample"]
 
 
+def _as_floats(holder: object, *names: str) -> None:
+    """Lists and integers become float arrays; what is no number is an `InputError`."""
+    for name in names:
+        try:
+            array = np.asarray(getattr(holder, name), float)
+        except (TypeError, ValueError):
+            raise InputError(f"{type(holder).__name__}.{name} holds something that is not a number") from None
+        object.__setattr__(holder, name, array)
+
+
 def _rate(steps: np.ndarray) -> float:
     """Mean rate over all steps that are no gaps: a median would mistake jittering stamps."""
     usual = steps[steps < 10 * np.median(steps[steps > 0])]
@@ -33,6 +43,9 @@ class Stream:
 
     time: np.ndarray
     values: np.ndarray
+
+    def __post_init__(self) -> None:
+        _as_floats(self, "time", "values")
 
     @property
     def rate(self) -> float:
@@ -58,10 +71,18 @@ class Sensor:
 @dataclass(frozen=True)
 class Landmarks:
     """Surveyed points: `time (K,)` s on the recording's clock, `position (K, 3)` m in a right-handed
-    frame with z up; an unknown coordinate is NaN (a stair landmark knows only its height)."""
+    frame with z up; an unknown coordinate is NaN (a stair landmark knows only its height).
+    Kept in time order."""
 
     time: np.ndarray
     position: np.ndarray
+
+    def __post_init__(self) -> None:
+        _as_floats(self, "time", "position")
+        if self.time.ndim == 1 and len(self.position) == len(self.time):
+            order = np.argsort(self.time, kind="stable")
+            object.__setattr__(self, "time", self.time[order])
+            object.__setattr__(self, "position", self.position[order])
 
 
 @dataclass(frozen=True)
@@ -72,6 +93,9 @@ class Truth:
     time: np.ndarray
     position: np.ndarray
     quaternion: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        _as_floats(self, "time", "position", *(["quaternion"] if self.quaternion is not None else []))
 
 
 @dataclass(frozen=True)
@@ -108,7 +132,7 @@ class Recording:
 class Inertial:
     """A sensor's samples on one clock, as a filter takes them (numpy, float64, time first).
 
-    `time (T,)` s, `dt (T,)` s (the step that ends at each sample; the first is the median step),
+    `time (T,)` s, `dt (T,)` s (the step that ends at each sample; the first repeats the second),
     `specific_force (T, 3)`, `angular_rate (T, 3)`, `magnetic_field (T, 3)` microtesla or None.
     """
 
@@ -147,10 +171,10 @@ def _interpolate(stream: Stream, time: np.ndarray) -> np.ndarray:
 
 
 def inertial(recording: Recording, sensor: str = "foot", clock: Clock | None = None) -> Inertial:
-    """Put a sensor's streams on the gyroscope's clock, without duplicate stamps.
+    """Put a sensor's streams on the gyroscope's clock.
 
     `clock` says how to read the time stamps: `stamps` takes them as they are (true dt), `uniform` takes
-    the samples as evenly spaced and the stamps as late arrivals (a straight line is fitted), `resample`
+    the samples as evenly spaced between the first and the last stamp (late arrivals), `resample`
     interpolates onto an even grid. Default: what the reader chose for this format.
     """
     source = recording.sensor(sensor)
@@ -158,7 +182,8 @@ def inertial(recording: Recording, sensor: str = "foot", clock: Clock | None = N
     accelerometer = source.accelerometer
     clock = clock or recording.clock
     same = np.array_equal(gyroscope.time, accelerometer.time)
-    gyroscope, accelerometer = _without_duplicates(gyroscope), _without_duplicates(accelerometer)
+    if not (same and clock == "uniform"):  # evenly spaced samples may well arrive with equal stamps
+        gyroscope, accelerometer = _without_duplicates(gyroscope), _without_duplicates(accelerometer)
     time, rate, force = gyroscope.time, gyroscope.values, accelerometer.values
     if not same:  # keep only where both streams exist: no extrapolation
         inside = (time >= accelerometer.time[0]) & (time <= accelerometer.time[-1])
@@ -178,5 +203,5 @@ def inertial(recording: Recording, sensor: str = "foot", clock: Clock | None = N
     if source.magnetometer is not None:
         magnetic = _interpolate(_without_duplicates(source.magnetometer), time)
     steps = np.diff(time)
-    dt = np.concatenate([[np.median(steps)], steps])
+    dt = np.concatenate([steps[:1], steps])
     return Inertial(time, dt, force, rate, magnetic)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from pedjax.lanes import dot, eye, matmul, matmul_t, transpose
+from pedjax.lanes import dot, eye, matmul, matmul_t
 
 
 def wrap(angle: Array) -> Array:
@@ -76,7 +76,7 @@ def log(c: Array) -> Array:
     axial = 0.5 * jnp.stack([c[2, 1] - c[1, 2], c[0, 2] - c[2, 0], c[1, 0] - c[0, 1]])
     sine_square = dot(axial, axial)
     cosine = 0.5 * (c[0, 0] + c[1, 1] + c[2, 2] - 1)
-    small = sine_square < 1e-12
+    small = (sine_square < 1e-12) & (cosine > 0)
     safe = jnp.sqrt(jnp.where(small, 1.0, sine_square))
     angle = jnp.arctan2(safe, cosine)
     return jnp.where(small, 1 + sine_square / 6, angle / safe) * axial
@@ -121,7 +121,7 @@ def from_quaternion(q: Array) -> Array:
 
 
 def tilt(force: Array) -> tuple[Array, Array]:
-    """Roll and pitch of a body at rest from its specific force `(3, *L)`, z up (methods: f points up)."""
+    """Roll and pitch of a body at rest from its specific force `(3, *L)`, z up."""
     level = jnp.sqrt(force[1] ** 2 + force[2] ** 2 + 1e-24)
     return jnp.arctan2(force[1], force[2] + 1e-15), jnp.arctan2(-force[0], level)
 
@@ -131,8 +131,3 @@ def levelled(force: Array, heading: Array) -> Array:
     roll, pitch = tilt(force)
     shape = jnp.broadcast_shapes(roll.shape, heading.shape)
     return from_euler(*(jnp.broadcast_to(angle, shape) for angle in (roll, pitch, heading)))
-
-
-def inverse(c: Array) -> Array:
-    """The transpose."""
-    return transpose(c)

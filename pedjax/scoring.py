@@ -11,7 +11,7 @@ import numpy as np
 from pedjax import rotations
 from pedjax.errors import InputError, suggest
 from pedjax.evaluation.landmarks import ALIGNMENTS, align, landmark_errors
-from pedjax.packing import points_of, reference_of
+from pedjax.packing import nearest, points_of, reference_of
 from pedjax.recording import Inertial, Recording
 from pedjax.running import Track
 
@@ -99,7 +99,7 @@ def evaluate(track: Track, recording: Recording, alignment: str = "auto") -> Sco
         pyshoe_armse_m=where(flat.any(), errors.pyshoe_armse),
         rms_height_m=where(known.any(), float(np.sqrt(np.mean(height**2))) if known.any() else 0.0),
         heading_rms_deg=_heading_rms(track, recording),
-        warnings=_mirrored(estimate[flat], position[flat], errors.rms_2d),
+        warnings=_alone(int(flat.sum())) + _mirrored(estimate[flat], position[flat], errors.rms_2d),
     )
 
 
@@ -107,6 +107,11 @@ def _clock(track: Track) -> Inertial:
     """A stand-in for the samples of the track: only their time is used."""
     empty = np.zeros((len(track.time), 0))
     return Inertial(track.time, np.diff(track.time, prepend=track.time[0]), empty, empty)
+
+
+def _alone(count: int) -> tuple[str, ...]:
+    """One point is matched with itself by any alignment."""
+    return ("a single landmark is matched with itself and tells no error",) if count == 1 else ()
 
 
 def _mirrored(estimate: np.ndarray, position: np.ndarray, rms: float) -> tuple[str, ...]:
@@ -133,7 +138,7 @@ def _heading_rms(track: Track, recording: Recording) -> float | None:
     if not good.any():
         return None
     reference = np.asarray(rotations.from_quaternion(truth.quaternion[good].T))
-    at = np.clip(np.searchsorted(track.time, truth.time[good]), 0, len(track.time) - 1)
+    at = nearest(track.time, truth.time[good])
     turn = np.einsum("tij,kjt->tik", track.attitude[at], reference)
     yaw = np.unwrap(np.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1]))
     return float(np.degrees(np.std(yaw)))

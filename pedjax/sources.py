@@ -10,13 +10,18 @@ from pedjax.recording import Recording
 from pedjax.simulation import demo_walk
 
 
+def is_demo(name: str) -> bool:
+    """Whether a name stands for a walk that the package makes: `demo` or `demo:SEED`."""
+    return name == "demo" or name.startswith("demo:")
+
+
 def read_any(name: str, config: str | None = None, sensor: str | None = None) -> Recording:
     """A file, or `demo` / `demo:SEED`."""
-    head, colon, seed = name.partition(":")
-    if head == "demo" and (colon or not seed):
-        if colon and not seed.isdigit():
+    if is_demo(name):
+        seed = name.removeprefix("demo").removeprefix(":") or "0"
+        if not seed.isdigit():
             raise InputError(f"'{name}': the seed of a demo walk is a whole number, as in demo:3")
-        return demo_walk(int(seed or 0))
+        return demo_walk(int(seed))
     return read(name, config=config, sensor=sensor)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,28 +16,35 @@ from pedjax.packing import nominal_rate
 from pedjax.recording import Inertial, Recording
 
 
-def still_labels(
-    recording: Recording, imu: Inertial, below: float = 0.1, smooth_s: float = 0.025
-) -> np.ndarray:
-    """`(T,)` bool: true speed below `below` m/s, from the dense truth's central differences smoothed over
-    `smooth_s`. Samples outside the truth are not still."""
+class Labels(NamedTuple):
+    """`still (T,)` bool, and `known (T,)` bool: whether there is truth to tell."""
+
+    still: np.ndarray
+    known: np.ndarray
+
+
+def still_labels(recording: Recording, imu: Inertial, below: float = 0.1, smooth_s: float = 0.025) -> Labels:
+    """Still where the true speed is below `below` m/s, from central differences of the dense truth smoothed
+    over `smooth_s`. Unknown outside the truth and in its gaps."""
     truth = recording.truth
     if truth is None:
         raise InputError(f"{recording.name}: an ROC needs dense truth to label stance; it has none")
-    good = np.isfinite(truth.position).all(axis=1)
+    good = np.isfinite(truth.position).all(axis=1) & (np.diff(truth.time, prepend=-np.inf) > 0)
     time, position = truth.time[good], truth.position[good]
+    step = float(np.median(np.diff(truth.time)))
     velocity = np.gradient(position, time, axis=0)
-    width = max(round(smooth_s / float(np.median(np.diff(time)))), 1)
-    kernel = np.ones(width) / width
-    smooth = np.stack([np.convolve(v, kernel, mode="same") for v in velocity.T], axis=1)
-    speed = np.interp(imu.time, time, np.linalg.norm(smooth, axis=1), left=np.inf, right=np.inf)
-    return speed < below
+    kernel = np.ones(max(round(smooth_s / step), 1))
+    share = np.convolve(np.ones(len(time)), kernel, mode="same")  # fewer samples count at the ends
+    smooth = np.stack([np.convolve(v, kernel, mode="same") / share for v in velocity.T], axis=1)
+    speed = np.interp(imu.time, time, np.linalg.norm(smooth, axis=1))
+    after = np.clip(np.searchsorted(time, imu.time), 1, len(time) - 1)
+    in_gap = time[after] - time[after - 1] > 3.5 * step
+    inside = (imu.time >= time[0]) & (imu.time <= time[-1])
+    return Labels(speed < below, inside & ~in_gap)
 
 
-def detector_roc(
-    params: Any, detector: str, samples: Sequence[Inertial], labels: Sequence[np.ndarray]
-) -> Roc:
-    """ROC of a detector, with the window and sigmas of `params.stance`, over all samples together."""
+def detector_roc(params: Any, detector: str, samples: Sequence[Inertial], labels: Sequence[Labels]) -> Roc:
+    """ROC of a detector, with the window and sigmas of `params.stance`, over all labelled samples."""
     chosen = parameters.replace(params, {"stance.detector": detector}).stance
     dtype = jnp.result_type(float)
     found = [
@@ -52,4 +59,5 @@ def detector_roc(
         )
         for s in samples
     ]
-    return roc(np.concatenate(found), np.concatenate(labels))
+    kept = [statistic[label.known] for statistic, label in zip(found, labels, strict=True)]
+    return roc(np.concatenate(kept), np.concatenate([label.still[label.known] for label in labels]))

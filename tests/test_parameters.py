@@ -22,7 +22,8 @@ LINEAR = Spec("m", -2.0, 6.0, "linear", "test")
 
 @pytest.mark.parametrize("spec", [LOG, LINEAR])
 def test_free_numbers_invert_and_stay_in_bounds(spec):
-    value = np.asarray(spec.between(np.linspace(0.01, 0.99, 21)))
+    spaced = np.geomspace if spec.scale == "log" else np.linspace
+    value = spaced(spec.low, spec.high, 103)[1:-1]
     np.testing.assert_allclose(spec.from_free(spec.to_free(value)), value, rtol=1e-12)
     far = np.asarray(spec.from_free(np.array([-1e4, -40.0, 40.0, 1e4])))
     assert (far >= spec.low * (1 - 1e-12) if spec.low > 0 else far >= spec.low).all()
@@ -34,11 +35,6 @@ def test_a_free_step_is_an_e_fold_or_a_tenth_of_the_range():
     slope = jax.grad(lambda x: jax.numpy.log(LOG.from_free(x)))(0.0)
     assert float(slope) == pytest.approx(1.0)
     assert float(jax.grad(lambda x: LINEAR.from_free(x))(0.0)) == pytest.approx(0.1 * 8.0)
-
-
-def test_between_runs_from_low_to_high():
-    np.testing.assert_allclose(LOG.between(np.array([0.0, 0.5, 1.0])), [1e-3, 1.0, 1e3])
-    np.testing.assert_allclose(LINEAR.between(np.array([0.0, 0.5, 1.0])), [-2.0, 2.0, 6.0])
 
 
 def test_every_leaf_has_a_unit_bounds_and_a_source(params):

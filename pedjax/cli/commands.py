@@ -33,14 +33,7 @@ _MOST_PICTURES = 12  # of single walks while tuning
 
 
 def _config(args: argparse.Namespace) -> Config:
-    config = Config()
-    tuned_on: tuple[str, ...] = ()
-    for path in args.config:
-        later = load(path)
-        tuned_on += later.tuned_on
-        merged = {**parameters.flatten(config.parameters), **parameters.flatten(later.parameters)}
-        config = replace(later, parameters=merged, recordings=later.recordings or config.recordings)
-    config = replace(config, tuned_on=tuned_on)
+    config = load(*args.config)
     for name in ("system", "sensor", "clock", "alignment", "seed", "out"):
         if getattr(args, name, None) is not None:
             config = replace(config, **{name: getattr(args, name)})
@@ -123,21 +116,21 @@ def run(args: argparse.Namespace) -> int:
     for path, recording, stem in zip(config.recordings, recordings, _stems(recordings), strict=True):
         track = run_system(recording, chosen, params, sensor=config.sensor, clock=config.clock)
         score = evaluate(track, recording, config.alignment)
-        entry = _entry(path, track, score)
+        entry = _entry(path, recording, track, score)
         if fingerprint(recording) in config.tuned_on:
             entry["tuned_on"] = True
         entries.append(entry)
-        _say(_line(path, track, score, entry.get("tuned_on", False)))
+        _say(_line(path, recording, track, score, entry.get("tuned_on", False)))
         write_table(out / f"{stem}_track.csv", _columns(track))
         if config.figures:
             picture = plots.trajectory(track, recording, score, config.alignment)
             write_figure(out / f"{stem}_trajectory.png", picture)
             write_figure(
                 out / f"{stem}_stance.png",
-                plots.stance_over_signals(track, recording, config.sensor),
+                plots.stance_over_signals(track, recording, config.sensor, config.clock),
             )
     _metrics(out, config, entries)
-    write_toml(out / "config.toml", resolved(config, params, tuned_on=list(config.tuned_on)))
+    write_toml(out / "config.toml", resolved(config, params))
     _say(f"results in {out}")
     return 0
 
@@ -163,8 +156,8 @@ def _columns(track: Track) -> dict[str, Sequence[Any]]:
     return columns
 
 
-def _entry(path: str, track: Track, score: Score | None) -> dict[str, Any]:
-    notes = [*track.warnings, *(score.warnings if score is not None else ())]
+def _entry(path: str, recording: Recording, track: Track, score: Score | None) -> dict[str, Any]:
+    notes = [*recording.findings, *track.warnings, *(score.warnings if score is not None else ())]
     entry: dict[str, Any] = {
         "path": str(path),
         "distance_m": track.distance,
@@ -179,7 +172,7 @@ def _entry(path: str, track: Track, score: Score | None) -> dict[str, Any]:
     return entry
 
 
-def _line(path: str, track: Track, score: Score | None, tuned_on: bool = False) -> str:
+def _line(path: str, recording: Recording, track: Track, score: Score | None, tuned_on: bool = False) -> str:
     text = f"{path}: {track.distance:.1f} m in {track.time[-1] - track.time[0]:.1f} s"
     if score is not None and score.rms_2d_m is not None:
         text += (
@@ -191,7 +184,7 @@ def _line(path: str, track: Track, score: Score | None, tuned_on: bool = False) 
         text += " [tuned on this recording]"
     if not track.healthy:
         text += " [NOT HEALTHY]"
-    for note in (*track.warnings, *(score.warnings if score is not None else ())):
+    for note in (*recording.findings, *track.warnings, *(score.warnings if score is not None else ())):
         text += f"\n  look at: {note}"
     return text
 
@@ -232,7 +225,10 @@ def tune(args: argparse.Namespace) -> int:
     given = [*config.tuned_on, *tuned.fingerprints]
     write_toml(
         out / "tuned.toml",
-        resolved(replace(config, recordings=(), held_back=(), split=None), tuned.params, tuned_on=given),
+        resolved(
+            replace(config, recordings=(), held_back=(), split=None, tuned_on=tuple(dict.fromkeys(given))),
+            tuned.params,
+        ),
         f"tuned by pedjax {__version__} on {len(recordings)} recordings: {', '.join(settings.names)}",
     )
     write_toml(out / "config.toml", resolved(config, params, tune=_tune_section(settings)))
@@ -242,7 +238,7 @@ def tune(args: argparse.Namespace) -> int:
     for (part, path, recording), stem in zip(parts, _stems([*recordings, *held]), strict=True):
         track = run_system(recording, chosen, tuned.params, sensor=config.sensor, clock=config.clock)
         score = evaluate(track, recording, config.alignment)
-        entries.append({**_entry(path, track, score), "part": part})
+        entries.append({**_entry(path, recording, track, score), "part": part})
         if config.figures and len(entries) <= _MOST_PICTURES:
             given_track = run_system(recording, chosen, params, sensor=config.sensor, clock=config.clock)
             picture = plots.trajectory(track, recording, score, config.alignment, ("before", given_track))
@@ -331,9 +327,14 @@ def sweep(args: argparse.Namespace) -> int:
     write_toml(
         out / "best.toml",
         resolved(
-            replace(config, recordings=(), held_back=(), split=None),
+            replace(
+                config,
+                recordings=(),
+                held_back=(),
+                split=None,
+                tuned_on=(*config.tuned_on, *(fingerprint(r) for r in recordings)),
+            ),
             at_best,
-            tuned_on=[*config.tuned_on, *(fingerprint(r) for r in recordings)],
         ),
         f"best of {len(found.mean)} parameter sets, chosen on {len(recordings)} recordings",
     )
@@ -341,7 +342,7 @@ def sweep(args: argparse.Namespace) -> int:
     for path, recording in zip(config.recordings, recordings, strict=True):
         track = run_system(recording, chosen, at_best, sensor=config.sensor, clock=config.clock)
         entries.append(
-            {**_entry(path, track, evaluate(track, recording, config.alignment)), "tuned_on": True}
+            {**_entry(path, recording, track, evaluate(track, recording, config.alignment)), "tuned_on": True}
         )
     _metrics(
         out,
@@ -376,6 +377,8 @@ def roc(args: argparse.Namespace) -> int:
     for name in names:
         if name not in DETECTORS:
             raise InputError(f"detector '{name}' is unknown{suggest(name, DETECTORS)}")
+    if not args.still_below > 0:
+        raise InputError(f"--still-below {args.still_below:g} must be a positive speed in m/s")
     if not 0 < args.false_alarm < 1:
         raise InputError(f"--false-alarm {args.false_alarm:g} must lie between 0 and 1")
     recordings = read_all(config.recordings, args.format)
@@ -387,7 +390,7 @@ def roc(args: argparse.Namespace) -> int:
             "auc": curve.auc,
             "false_alarm": args.false_alarm,
             "threshold": curve.at_false_alarm(args.false_alarm),
-            "p_detection": float(np.interp(args.false_alarm, curve.p_false_alarm, curve.p_detection)),
+            "p_detection": curve.detection_at(curve.at_false_alarm(args.false_alarm)),
         }
         for name, curve in curves.items()
     }
@@ -406,7 +409,12 @@ def roc(args: argparse.Namespace) -> int:
             f"{points[name]['threshold']:.4g}, detection {points[name]['p_detection']:.3f}"
         )
     entries = [
-        {"path": str(p), "duration_s": r.duration, "still_fraction": float(x.mean())}
+        {
+            "path": str(p),
+            "duration_s": r.duration,
+            "labelled_fraction": float(x.known.mean()),
+            "still_fraction": float(x.still[x.known].mean()),
+        }
         for p, r, x in zip(config.recordings, recordings, labels, strict=True)
     ]
     _metrics(out, config, entries, roc=points, still_below_m_per_s=args.still_below)
@@ -418,9 +426,7 @@ def roc(args: argparse.Namespace) -> int:
 
 def show_parameters(args: argparse.Namespace) -> int:
     """The parameters of a system as a table."""
-    config = Config()
-    for path in args.config:
-        config = replace(load(path))
+    config = load(*args.config)
     if args.system is not None:
         config = replace(config, system=args.system)
     _, params = resolve(override(config, args.set))

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pedjax.errors import InputError
+
 
 class Roc(NamedTuple):
     """`threshold (N,)` ascending, probability of detection `p_detection (N,)` and of false alarm
@@ -20,6 +22,11 @@ class Roc(NamedTuple):
         """The largest threshold whose false-alarm probability does not exceed this."""
         count = int(np.searchsorted(self.p_false_alarm, probability, "right"))
         return float(self.threshold[count - 1] if count else np.nextafter(self.threshold[0], -np.inf))
+
+    def detection_at(self, threshold: float) -> float:
+        """Probability of detection with this threshold."""
+        at = int(np.searchsorted(self.threshold, threshold, "right")) - 1
+        return float(self.p_detection[at]) if at >= 0 else 0.0
 
     def at_detection(self, probability: float) -> float:
         """The smallest threshold that detects with at least this probability."""
@@ -37,7 +44,9 @@ def roc(statistic: np.ndarray, still: np.ndarray) -> Roc:
     if statistic.shape != still.shape or statistic.ndim != 1:
         raise ValueError(f"statistic {statistic.shape} and labels {still.shape} must both be (T,)")
     if still.all() or not still.any():
-        raise ValueError("an ROC needs both still and moving samples among the labels")
+        raise InputError(
+            "an ROC needs both still and moving samples among its labels; change the speed limit"
+        )
     statistic = np.where(np.isnan(statistic), np.inf, statistic)
     order = np.argsort(statistic, kind="stable")
     ordered, labels = statistic[order], still[order]

@@ -108,7 +108,7 @@ def transition(attitude: Array, force_n: Array, dt: Array, noise: ProcessNoise) 
 
 
 def predict(P: Covariance, attitude: Array, force_n: Array, dt: Array, noise: ProcessNoise) -> Covariance:
-    """F P Fᵀ + Q over `dt` s, with the zero and identity blocks of F left out (methods: Eq. 4.2)."""
+    """F P Fᵀ + Q over `dt` s, with the zero and identity blocks of F left out."""
     D = dt * attitude
     G = dt * skew(force_n)
     keep_g = jnp.exp(-dt / noise.gyroscope_bias_time)

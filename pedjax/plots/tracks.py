@@ -7,7 +7,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from pedjax.packing import points_of
-from pedjax.recording import Recording, inertial
+from pedjax.recording import Clock, Recording, inertial
 from pedjax.running import Track
 from pedjax.scoring import Score, _clock, aligned
 
@@ -62,25 +62,31 @@ def trajectory(
 
 
 def stance_over_signals(
-    track: Track, recording: Recording, sensor: str = "foot", seconds: float = 12.0
+    track: Track,
+    recording: Recording,
+    sensor: str = "foot",
+    clock: Clock | None = None,
+    seconds: float = 12.0,
 ) -> Figure:
     """Norms of force and rate, the stance statistic over its threshold, and stance shaded: the whole walk
     of the statistic, and a stretch of the rest that can be read."""
-    imu = inertial(recording, sensor)
+    imu = inertial(recording, sensor, clock)
     time = track.time
     middle = 0.5 * (time[0] + time[-1])
     begin = max(time[0], middle - seconds / 2)
     near = (time >= begin) & (time <= begin + seconds)
+    if near.sum() < 2:  # the middle of the walk is a gap
+        near = np.arange(len(time)) < max(int(seconds / np.median(np.diff(time))), 2)
+        begin = time[0]
     figure = Figure(figsize=(10, 7.5), layout="constrained")
     force, rate, ratio, whole = figure.subplots(4, 1)
     still = track.stance > 0.5
-    n = min(len(imu.time), len(time))
     for ax, signal, label in (
-        (force, np.linalg.norm(imu.specific_force[:n], axis=1), "force (m/s²)"),
-        (rate, np.linalg.norm(imu.angular_rate[:n], axis=1), "rate (rad/s)"),
+        (force, np.linalg.norm(imu.specific_force, axis=1), "force (m/s²)"),
+        (rate, np.linalg.norm(imu.angular_rate, axis=1), "rate (rad/s)"),
         (ratio, np.clip(track.log_ratio / np.log(10), -4, 4), "log₁₀ statistic\n/ threshold"),
     ):
-        ax.plot(time[near], signal[near[:n]], lw=0.9, color="C0")
+        ax.plot(time[near], signal[near], lw=0.9, color="C0")
         ax.fill_between(
             time[near],
             0,

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pedjax import parameters
-from pedjax.errors import InputError
+from pedjax.errors import InputError, suggest
 from pedjax.evaluation.landmarks import ALIGNMENTS
 from pedjax.packing import pack
 from pedjax.recording import Clock, Recording
@@ -57,15 +57,16 @@ def sweep(
     """Run every parameter set `values[path] (N,)` over every recording and keep the losses only."""
     chosen = find_system(system)
     params = chosen.defaults() if params is None else params
-    if loss not in LOSSES or alignment not in ALIGNMENTS:
-        raise InputError(f"loss '{loss}' or alignment '{alignment}' is unknown")
+    for what, word, known in (("loss", loss, tuple(LOSSES)), ("alignment", alignment, ALIGNMENTS)):
+        if word not in known:
+            raise InputError(f"{what} '{word}' is unknown{suggest(word, known)}")
     counts = {len(v) for v in values.values()}
     if len(counts) != 1:
         raise InputError(f"every swept parameter needs equally many values, not {sorted(counts)}")
     count = counts.pop()
     dtype = jnp.result_type(float)
     cast = parameters.cast(params, dtype)
-    batch = pack(chosen, cast, walks_for(chosen, params, recordings, sensor, clock), dtype)
+    batch = pack(chosen, cast, walks_for(chosen, params, recordings, sensor, clock, loss), dtype)
     problem = Problem(chosen, tuple(values), loss, alignment)
     width = max(_LANES // batch.packed.slot.shape[1], 1)
     width = min(width, count)

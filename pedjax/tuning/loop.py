@@ -38,8 +38,9 @@ class TuneSettings:
     `starts` the first at the given parameters, the others scattered by `spread` around it in free units
     (about e-folds); `grid` thresholds tried on the hard gate before and half-way for each start where a
     threshold is among the names (0: none); `width` of the soft gate; `patience` checks without a better
-    validation loss before stopping; `validation` part of the tuned-on recordings that chooses the stop and
-    the winner; `mode` reverse or forward differentiation.
+    loss before stopping; `validation` part of the tuned-on recordings that gives no gradients: stop and
+    winner are chosen by the hard-gate mean over those and the others together; `mode` of differentiation,
+    reverse or forward.
     """
 
     names: tuple[str, ...]
@@ -58,6 +59,10 @@ class TuneSettings:
     patience: int = 4
     mode: str = "reverse"
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        names = (self.names,) if isinstance(self.names, str) else self.names
+        object.__setattr__(self, "names", tuple(dict.fromkeys(map(str, names))))
 
 
 @dataclass(frozen=True)
@@ -96,8 +101,8 @@ def tune(
     specs = _check(settings, params)
     prints = tuple(fingerprint(r) for r in recordings)
     refuse_overlap(prints, held_back)
-    walks = walks_for(chosen, params, recordings, sensor, clock)
-    others = walks_for(chosen, params, held_back, sensor, clock)
+    walks = walks_for(chosen, params, recordings, sensor, clock, settings.loss)
+    others = walks_for(chosen, params, held_back, sensor, clock, settings.loss)
     training, validation = _part(len(walks), settings)
     problem = Problem(chosen, settings.names, settings.loss, settings.alignment)
     with double_precision():
@@ -120,6 +125,13 @@ def tune(
         )
 
 
+_LIMITS = (
+    ("iterations", 1, 1e6), ("starts", 1, 1e4), ("check_every", 1, 1e6), ("spread", 0, 20), ("grid", 0, 1e4),
+    ("width", 1e-3, 5), ("learning_rate", 1e-6, 10), ("clip", 1e-9, 1e9), ("validation", 0, 0.9),
+    ("patience", 1, 1e6), ("seed", 0, 2**63),
+)  # fmt: skip
+
+
 def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
     known = parameters.specs(params)
     if not settings.names:
@@ -136,30 +148,40 @@ def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
         raise InputError(f"alignment '{settings.alignment}' is unknown; known are: {', '.join(ALIGNMENTS)}")
     if settings.mode not in ("reverse", "forward"):
         raise InputError(f"mode '{settings.mode}' is unknown; known are: reverse, forward")
-    if min(settings.iterations, settings.starts, settings.check_every) < 1:
-        raise InputError("iterations, starts and check_every must be at least 1")
+    for name, low, high in _LIMITS:
+        value = getattr(settings, name)
+        if not isinstance(value, int | float) or not low <= value <= high:
+            raise InputError(f"tune.{name} = {value!r} must lie between {low:g} and {high:g}")
     return {name: known[name] for name in settings.names}
 
 
 def walks_for(
-    system: System, params: Any, recordings: Sequence[Recording], sensor: str, clock: Clock | None
+    system: System,
+    params: Any,
+    recordings: Sequence[Recording],
+    sensor: str,
+    clock: Clock | None,
+    loss: str,
 ) -> list[Walk]:
     """Recordings ready for a filter, refused where they are too short or have nothing to score."""
     walks = []
     for recording in recordings:
         found = walk(recording, sensor, clock)
         check_length(system, params, found)
-        if len(found.index) < 2:
+        needed = 3 if loss == "rms_3d" else 2
+        count = int(np.isfinite(found.position[:, :needed]).all(axis=1).sum())
+        if count < 2:
+            axes = "x, y and z" if needed == 3 else "x and y"
             raise InputError(
-                f"{recording.name}: tuning needs at least two landmarks (or dense truth), "
-                f"it has {len(found.index)}"
+                f"{recording.name}: loss '{loss}' needs at least two landmarks (or dense truth) "
+                f"with known {axes}; it has {count}"
             )
         walks.append(found)
     return walks
 
 
 def _part(count: int, settings: TuneSettings) -> tuple[list[int], list[int]]:
-    """Tuned-on recordings that give gradients, and those that choose the winner (all, where few)."""
+    """Tuned-on recordings that give gradients (all, where few), and those that only help to choose."""
     size = round(settings.validation * count)
     if size < 1 or count - size < 1:
         return list(range(count)), []
@@ -251,7 +273,7 @@ class _Search:
                     stale += 1
                 if progress is not None:
                     progress(iteration, settings.iterations, best_loss)
-                if stale > settings.patience or iteration == settings.iterations:
+                if stale >= settings.patience or iteration == settings.iterations:
                     break
             free_now = {n: jnp.asarray(x) for n, x in free.items()}
             _, gradient = gradient_of(self.problem, self.soft, free_now, self.batch)

@@ -38,6 +38,14 @@ def losses(problem: Problem, params: Any, values: dict[str, Array], batch: Batch
     return jnp.where(batch.healthy(points) & jnp.isfinite(loss), loss, jnp.inf)
 
 
+def _mean_loss(problem: Problem, params: Any, free: dict[str, Array], batch: Batch) -> Array:
+    """Mean over recordings `(S,)`, from free numbers; a recording that diverged gives no direction."""
+    specs = parameters.specs(params)
+    values = {path: specs[path].from_free(x) for path, x in free.items()}
+    each = losses(problem, params, values, batch)
+    return jnp.mean(jnp.where(jnp.isfinite(each), each, 0.0), axis=-1)
+
+
 @partial(jax.jit, static_argnames="problem")
 def soft_loss_and_gradient(
     problem: Problem, params: Any, free: dict[str, Array], batch: Batch
@@ -45,11 +53,8 @@ def soft_loss_and_gradient(
     """Mean loss over recordings of each start `(S,)` and its gradient by the free numbers (reverse mode)."""
 
     def total(free: dict[str, Array]) -> tuple[Array, Array]:
-        specs = parameters.specs(params)
-        values = {path: specs[path].from_free(x) for path, x in free.items()}
-        each = losses(problem, params, values, batch)
-        finite = jnp.isfinite(each)  # a recording that diverged gives no direction
-        return jnp.sum(jnp.mean(jnp.where(finite, each, 0.0), axis=-1)), jnp.mean(each, axis=-1)
+        each = _mean_loss(problem, params, free, batch)
+        return jnp.sum(each), each
 
     gradient, each = jax.grad(total, has_aux=True)(free)
     return each, gradient
@@ -62,13 +67,10 @@ def soft_loss_and_gradient_forward(
     """The same by forward mode: one extra run a parameter, cheaper for one to four of them."""
 
     def total(free: dict[str, Array]) -> Array:
-        specs = parameters.specs(params)
-        values = {path: specs[path].from_free(x) for path, x in free.items()}
-        return jnp.mean(losses(problem, params, values, batch), axis=-1)
+        return _mean_loss(problem, params, free, batch)
 
-    each = total(free)
     gradient = {}
     for path in free:
         tangent = {p: jnp.ones_like(x) if p == path else jnp.zeros_like(x) for p, x in free.items()}
-        gradient[path] = jax.jvp(total, (free,), (tangent,))[1]
+        each, gradient[path] = jax.jvp(total, (free,), (tangent,))
     return each, gradient

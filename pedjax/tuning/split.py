@@ -32,8 +32,9 @@ def split(
     if not 0 < fraction < 1:
         raise InputError(f"the fraction to tune on is {fraction:g}; it must lie between 0 and 1")
     groups: dict[str, list[int]] = {}
-    for i in sorted(range(len(recordings)), key=lambda i: recordings[i].name):
-        groups.setdefault(fingerprint(recordings[i]), []).append(i)
+    prints = [fingerprint(recording) for recording in recordings]
+    for i in sorted(range(len(recordings)), key=lambda i: (recordings[i].name, prints[i])):
+        groups.setdefault(prints[i], []).append(i)
     distinct = list(groups.values())
     if len(distinct) < 2:
         raise InputError("a held-back part needs at least two different recordings")

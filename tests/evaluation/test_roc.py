@@ -1,5 +1,7 @@
 """ROC against counting at every threshold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,13 +80,24 @@ def test_detectors_separate_stance_from_swing():
     recording = pedjax.demo_walk(0, laps=1)
     imu = inertial(recording)
     labels = still_labels(recording, imu, below=0.1)
-    assert 0.1 < labels.mean() < 0.9
+    assert labels.known.all()
+    assert 0.1 < labels.still.mean() < 0.9
     for detector in DETECTORS:
         assert detector_roc(tools.iez(), detector, [imu], [labels]).auc > 0.8, detector
 
 
 def test_labels_need_truth(minute_recording):
-    from dataclasses import replace
 
     with pytest.raises(pedjax.InputError, match="needs dense truth"):
         still_labels(replace(minute_recording, truth=None), inertial(minute_recording))
+
+
+def test_samples_without_truth_are_not_counted():
+    recording = pedjax.demo_walk(1)
+    truth = recording.truth
+    assert truth is not None
+    late = replace(recording, truth=replace(truth, time=truth.time[2000:], position=truth.position[2000:]))
+    imu = inertial(late)
+    labels = still_labels(late, imu)
+    assert not labels.known[:1990].any()
+    assert labels.known[2010:].all()

@@ -44,10 +44,10 @@ VALUES = {
     "stance.shoe.sigma_gyroscope": 0.005,
     "stance.shoe.threshold": 1500.0,
     "stance.mag.threshold": 0.02,
-    "stance.eps.energy": 1.5,
-    "stance.eps.product": 0.35,
-    "stance.eps.total": 0.008,
-    "stance.eps.rate_variance": 2e-8,
+    "stance.eps.energy": 5.0,
+    "stance.eps.product": 1.2,
+    "stance.eps.total": 0.03,
+    "stance.eps.rate_variance": 3e-8,
     "stance.eps.rate_energy": 3e-4,
 }
 """A point where every number matters."""

@@ -131,8 +131,8 @@ def test_overlap_is_refused_before_anything_runs(walks):
         ({"loss": "mse"}, "loss 'mse' is unknown"),
         ({"alignment": "best"}, "alignment 'best' is unknown"),
         ({"mode": "sideways"}, "mode 'sideways' is unknown"),
-        ({"iterations": 0}, "at least 1"),
-        ({"starts": 0}, "at least 1"),
+        ({"iterations": 0}, "must lie between 1"),
+        ({"starts": 0}, "must lie between 1"),
     ],
 )
 def test_wrong_settings_are_refused(walks, change, message):
@@ -143,3 +143,20 @@ def test_wrong_settings_are_refused(walks, change, message):
 def test_a_recording_without_landmarks_is_refused(walks):
     with pytest.raises(InputError, match="at least two landmarks"):
         tune([walks[0], replace(walks[1], landmarks=None, truth=None)], settings())
+
+
+def test_walks_whose_landmarks_know_only_the_height_are_refused(walks):
+    marks = walks[0].landmarks
+    heights = replace(marks, position=np.where([True, True, False], np.nan, marks.position))
+    with pytest.raises(InputError, match="known x and y"):
+        tune([replace(walks[0], landmarks=heights)], settings())
+
+
+@pytest.mark.parametrize("change", [{"learning_rate": float("nan")}, {"clip": 0.0}, {"seed": -1}])
+def test_settings_out_of_range_are_refused(walks, change):
+    with pytest.raises(InputError, match=next(iter(change))):
+        tune(walks, settings(**change))
+
+
+def test_one_name_may_be_a_plain_string():
+    assert TuneSettings("gravity").names == ("gravity",)
