@@ -6,7 +6,8 @@ In order: the best fixed threshold on the tuning part, with all else as publishe
 noises tuned too; the adaptive gate tuned with the noises, by gradient; a random search of 200 sets over the
 same parameters, and the gradient with a tenth of its filter runs. Errors are PyShoe's ARMSE on the hard gate
 after the best yaw and translation. `--transfer` runs the tuned parameters, untouched, on other recordings.
-The split is half and half by names shuffled with `--seed`; nothing is chosen on the held-back half.
+The split is half and half by names shuffled with `--seed`; no parameter is chosen on the held-back half
+(the form of the gate was developed with its figures in sight).
 """
 
 from __future__ import annotations

@@ -125,7 +125,8 @@ class Recording:
         """The sensor of that name."""
         if name in self.sensors:
             return self.sensors[name]
-        raise InputError(f"{self.name}: there is no sensor '{name}'{suggest(name, self.sensors)}")
+        known = suggest(name, self.sensors)
+        raise InputError(f"{self.name}: there is no sensor '{name}'{known} (choose with sensor, --sensor)")
 
 
 @dataclass(frozen=True)

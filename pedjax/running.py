@@ -102,6 +102,8 @@ def run(
     nav = output.navigation
     euler = np.asarray(jax.jit(rotations.to_euler)(jnp.moveaxis(jnp.asarray(nav.attitude), 0, -1))).T
     notes = _warnings(walk, output)
+    if not sensor.startswith("foot"):
+        notes.append(f"sensor '{sensor}' is not on a foot, where alone zero-velocity updates hold")
     return Track(
         name=recording.name,
         system=chosen.name,

@@ -59,7 +59,7 @@ def _say(*lines: str) -> None:
 
 def info(args: argparse.Namespace) -> int:
     """What each file holds; raw signals as pictures where --out is given."""
-    recordings = read_all(args.recordings, args.format, args.sensor)
+    recordings = read_all(args.recordings, args.format)
     out = folder(args.out) if args.out else None
     described = []
     for path, recording, stem in zip(args.recordings, recordings, _stems(recordings), strict=True):

@@ -13,6 +13,7 @@ import numpy as np
 import optax
 
 from pedjax import parameters
+from pedjax.detectors.stance import DETECTORS
 from pedjax.errors import InputError
 from pedjax.evaluation.landmarks import ALIGNMENTS
 from pedjax.packing import Batch, Walk, pack, walk
@@ -125,6 +126,7 @@ def tune(
         )
 
 
+_ADAPTIVE = ("gate.follow", "gate.follow_time", "gate.growth", "gate.floor")
 _LIMITS = (
     ("iterations", 1, 1e6), ("starts", 1, 1e4), ("check_every", 1, 1e6), ("spread", 0, 20), ("grid", 0, 1e4),
     ("width", 1e-3, 5), ("learning_rate", 1e-6, 10), ("clip", 1e-9, 1e9), ("validation", 0, 0.9),
@@ -142,6 +144,11 @@ def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
             raise InputError(f"'{name}' is a setting, not a number that can be tuned")
         if name == "gate.width":
             raise InputError("gate.width cannot be tuned: errors are judged on the hard gate; set tune.width")
+        _, group, *_ = [*name.split("."), ""]
+        if group in DETECTORS and group != params.stance.detector:
+            raise InputError(f"'{name}' has no effect: stance.detector is '{params.stance.detector}'")
+        if name in _ADAPTIVE and params.gate.kind != "adaptive":
+            raise InputError(f"'{name}' has no effect: gate.kind is '{params.gate.kind}', not 'adaptive'")
     if settings.loss not in LOSSES:
         raise InputError(f"loss '{settings.loss}' is unknown; known are: {', '.join(LOSSES)}")
     if settings.alignment not in ALIGNMENTS:
