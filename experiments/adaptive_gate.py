@@ -21,11 +21,11 @@ import numpy as np
 
 import pedjax
 from pedjax import parameters
-from pedjax.config import ADAPTIVE_NAMES, DEFAULT_NAMES
+from pedjax.config import DEFAULT_NAMES
 from pedjax.output import folder, write_json, write_toml
 from pedjax.recording import Recording
 from pedjax.runtime import double_precision
-from pedjax.tuning import TuneSettings
+from pedjax.tuning import ADAPTIVE_NAMES, TuneSettings
 
 THRESHOLD = "stance.shoe.threshold"
 NAMES = (*DEFAULT_NAMES, *ADAPTIVE_NAMES)

@@ -12,9 +12,10 @@ from pedjax import parameters
 from pedjax.errors import InputError, suggest
 from pedjax.recording import Clock
 from pedjax.sources import is_demo
+from pedjax.sweeping import DESIGNS
 from pedjax.system import System
 from pedjax.systems import system as find_system
-from pedjax.tuning import TuneSettings
+from pedjax.tuning import ADAPTIVE_NAMES, TuneSettings
 
 
 @dataclass(frozen=True)
@@ -163,12 +164,12 @@ def _parse(text: str) -> Any:
         return text
 
 
-def _settings(cls: type, given: Mapping[str, Any], origin: str, section: str, **forced: Any) -> Any:
+def _settings(cls: type, given: Mapping[str, Any], origin: str, section: str) -> Any:
     known = {f.name: f for f in fields(cls)}
     for key in given:
         if key not in known:
             raise InputError(f"{origin}: key '{section}.{key}' is unknown{suggest(key, known)}")
-    clean: dict[str, Any] = dict(forced)
+    clean: dict[str, Any] = {}
     for key, value in given.items():
         default = known[key].default
         if isinstance(default, bool) != isinstance(value, bool) and not callable(default):
@@ -191,8 +192,6 @@ DEFAULT_NAMES = (
     "initial.attitude",
 )
 """What `tune` tunes unless told otherwise, beside the coefficients of an adaptive gate."""
-
-ADAPTIVE_NAMES = ("gate.follow", "gate.follow_time", "gate.growth", "gate.floor")
 
 
 def tune_settings(config: Config) -> TuneSettings:
@@ -234,8 +233,8 @@ def sweep_settings(config: Config) -> SweepSettings:
             raise InputError(f"{config.origin}: sweep.ranges.{path} must be [low, high]")
         for end in ends:
             parameters.replace(params, {path: end}, f"{config.origin}: sweep.ranges")
-    if settings.design not in ("sobol", "grid", "random"):
-        known = suggest(settings.design, ("sobol", "grid", "random"))
+    if settings.design not in DESIGNS:
+        known = suggest(settings.design, DESIGNS)
         raise InputError(f"{config.origin}: sweep.design = '{settings.design}' is unknown{known}")
     return settings
 

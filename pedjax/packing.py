@@ -17,7 +17,7 @@ from jax import Array
 from pedjax.errors import InputError
 from pedjax.evaluation.landmarks import Reference
 from pedjax.filtering import Packed, Points
-from pedjax.recording import Clock, Inertial, Recording, inertial
+from pedjax.recording import Clock, Inertial, Recording, inertial, sampling_rate
 from pedjax.system import Inputs, System
 
 TRUTH_HZ = 10.0
@@ -43,23 +43,26 @@ def nearest(time: np.ndarray, at: np.ndarray) -> np.ndarray:
     return index - (at - time[index - 1] < time[index] - at)
 
 
-def points_of(recording: Recording, imu: Inertial, truth_hz: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Sample index `(K,)` and position `(K, 3)` of the landmarks, or of the dense truth where there are
-    none, thinned to `truth_hz` (None: every truth sample). Empty where there is neither."""
+def points_of(
+    recording: Recording, stamps: np.ndarray, truth_hz: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Index `(K,)` among samples at `stamps (T,)` s, and position `(K, 3)`, of the landmarks, or of the
+    dense truth where there are none, thinned to `truth_hz` (None: every truth sample). Empty where there is
+    neither."""
     if recording.landmarks is not None:
         time, position = recording.landmarks.time, recording.landmarks.position
     elif recording.truth is not None:
         good = np.isfinite(recording.truth.position).all(axis=1)
         time, position = recording.truth.time[good], recording.truth.position[good]
-        inside = (time >= imu.time[0]) & (time <= imu.time[-1])
+        inside = (time >= stamps[0]) & (time <= stamps[-1])
         time, position = time[inside], position[inside]
         if truth_hz is not None and len(time) > 1:
             every = max(round((len(time) - 1) / (time[-1] - time[0]) / truth_hz), 1)
             time, position = time[::every], position[::every]
     else:
         return np.zeros(0, int), np.zeros((0, 3))
-    index = nearest(imu.time, time)
-    far = np.abs(imu.time[index] - time) > max(2.0 / imu.rate, 0.05)
+    index = nearest(stamps, time)
+    far = np.abs(stamps[index] - time) > max(2.0 / sampling_rate(np.diff(stamps)), 0.05)
     if recording.landmarks is None:  # dense truth: what falls into a gap is left out
         return index[~far], position[~far]
     if far.any():
@@ -75,7 +78,7 @@ def walk(
 ) -> Walk:
     """A recording on one clock, with the points it is scored at."""
     imu = inertial(recording, sensor, clock)
-    return Walk(recording.name, imu, *points_of(recording, imu, truth_hz))
+    return Walk(recording.name, imu, *points_of(recording, imu.time, truth_hz))
 
 
 def reference_of(position: np.ndarray, dtype: Any = float) -> Reference:

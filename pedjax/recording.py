@@ -31,7 +31,7 @@ def _as_floats(holder: object, *names: str) -> None:
         object.__setattr__(holder, name, array)
 
 
-def _rate(steps: np.ndarray) -> float:
+def sampling_rate(steps: np.ndarray) -> float:
     """Mean rate over all steps that are no gaps: a median would mistake jittering stamps."""
     usual = steps[steps < 10 * np.median(steps[steps > 0])]
     return float(len(usual) / usual.sum())
@@ -50,7 +50,7 @@ class Stream:
     @property
     def rate(self) -> float:
         """Sampling rate in Hz, gaps left out."""
-        return _rate(np.diff(self.time))
+        return sampling_rate(np.diff(self.time))
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class Inertial:
     @property
     def rate(self) -> float:
         """Sampling rate in Hz, gaps left out."""
-        return _rate(self.dt)
+        return sampling_rate(self.dt)
 
     def crop(self, start: int, stop: int) -> Inertial:
         """Samples `start` to `stop` (exclusive)."""

@@ -12,7 +12,7 @@ from pedjax import rotations
 from pedjax.errors import InputError, suggest
 from pedjax.evaluation.landmarks import ALIGNMENTS, align, landmark_errors
 from pedjax.packing import nearest, points_of, reference_of
-from pedjax.recording import Inertial, Recording
+from pedjax.recording import Recording
 from pedjax.running import Track
 
 
@@ -54,7 +54,7 @@ def choose_alignment(position: np.ndarray) -> str:
 
 def aligned(track: Track, recording: Recording, alignment: str = "auto") -> np.ndarray:
     """The whole track's positions `(T, 3)` laid on the landmarks by the alignment of `evaluate`."""
-    index, position = points_of(recording, _clock(track), None)
+    index, position = points_of(recording, track.time, None)
     if len(index) == 0 or alignment == "none":
         return track.position
     how = choose_alignment(position) if alignment == "auto" else alignment
@@ -70,7 +70,7 @@ def evaluate(track: Track, recording: Recording, alignment: str = "auto") -> Sco
     """Errors of a track at the recording's landmarks (or dense truth); None where it has neither."""
     if alignment not in (*ALIGNMENTS, "auto"):
         raise InputError(f"alignment '{alignment}' is unknown{suggest(alignment, (*ALIGNMENTS, 'auto'))}")
-    index, position = points_of(recording, _clock(track), None)
+    index, position = points_of(recording, track.time, None)
     if len(index) == 0:
         return None
     how = choose_alignment(position) if alignment == "auto" else alignment
@@ -101,12 +101,6 @@ def evaluate(track: Track, recording: Recording, alignment: str = "auto") -> Sco
         heading_rms_deg=_heading_rms(track, recording),
         warnings=_alone(int(flat.sum())) + _mirrored(estimate[flat], position[flat], errors.rms_2d),
     )
-
-
-def _clock(track: Track) -> Inertial:
-    """A stand-in for the samples of the track: only their time is used."""
-    empty = np.zeros((len(track.time), 0))
-    return Inertial(track.time, np.diff(track.time, prepend=track.time[0]), empty, empty)
 
 
 def _alone(count: int) -> tuple[str, ...]:

@@ -154,8 +154,8 @@ def test_padding_leaves_the_samples_alone(demos, params):
 def test_dense_truth_is_thinned(demos):
     recording = replace(demos[0], landmarks=None)
     imu = walk(recording).imu
-    every, _ = points_of(recording, imu, None)
-    some, position = points_of(recording, imu, 10.0)
+    every, _ = points_of(recording, imu.time, None)
+    some, position = points_of(recording, imu.time, 10.0)
     assert len(every) == len(imu.time)
     assert len(some) == pytest.approx(len(every) / 20, abs=1)
     np.testing.assert_allclose(position, recording.truth.position[some])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -156,8 +156,12 @@ def _columns(track: Track) -> dict[str, Sequence[Any]]:
     return columns
 
 
+def _notes(recording: Recording, track: Track, score: Score | None) -> list[str]:
+    """All that is to be looked at."""
+    return [*recording.findings, *track.warnings, *(score.warnings if score is not None else ())]
+
+
 def _entry(path: str, recording: Recording, track: Track, score: Score | None) -> dict[str, Any]:
-    notes = [*recording.findings, *track.warnings, *(score.warnings if score is not None else ())]
     entry: dict[str, Any] = {
         "path": str(path),
         "distance_m": track.distance,
@@ -167,7 +171,7 @@ def _entry(path: str, recording: Recording, track: Track, score: Score | None) -
     }
     if score is not None:
         entry["landmarks"] = {k: v for k, v in score.as_dict().items() if k != "warnings"}
-    if notes:
+    if notes := _notes(recording, track, score):
         entry["warnings"] = notes
     return entry
 
@@ -184,9 +188,18 @@ def _line(path: str, recording: Recording, track: Track, score: Score | None, tu
         text += " [tuned on this recording]"
     if not track.healthy:
         text += " [NOT HEALTHY]"
-    for note in (*recording.findings, *track.warnings, *(score.warnings if score is not None else ())):
+    for note in _notes(recording, track, score):
         text += f"\n  look at: {note}"
     return text
+
+
+def _write_parameters(
+    path: Path, config: Config, params: Any, chosen_on: Sequence[str], heading: str
+) -> None:
+    """Parameters as a config that every command takes, with the fingerprints of all they were chosen on."""
+    tuned_on = tuple(dict.fromkeys([*config.tuned_on, *chosen_on]))
+    alone = replace(config, recordings=(), held_back=(), split=None, tuned_on=tuned_on)
+    write_toml(path, resolved(alone, params), heading)
 
 
 def _metrics(out: Path, config: Config, entries: list[dict[str, Any]], **extra: Any) -> None:
@@ -222,13 +235,11 @@ def tune(args: argparse.Namespace) -> int:
             recordings, settings, chosen, params,
             held_back=held, sensor=config.sensor, clock=config.clock, progress=progress,
         )  # fmt: skip
-    given = [*config.tuned_on, *tuned.fingerprints]
-    write_toml(
+    _write_parameters(
         out / "tuned.toml",
-        resolved(
-            replace(config, recordings=(), held_back=(), split=None, tuned_on=tuple(dict.fromkeys(given))),
-            tuned.params,
-        ),
+        config,
+        tuned.params,
+        tuned.fingerprints,
         f"tuned by pedjax {__version__} on {len(recordings)} recordings: {', '.join(settings.names)}",
     )
     write_toml(out / "config.toml", resolved(config, params, tune=_tune_section(settings)))
@@ -268,8 +279,6 @@ def _metres(value: float | None) -> str:
 
 
 def _tune_section(settings: Any) -> dict[str, Any]:
-    from dataclasses import asdict
-
     return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(settings).items()}
 
 
@@ -324,18 +333,11 @@ def sweep(args: argparse.Namespace) -> int:
     write_table(out / "sweep.csv", columns)
     best = {path: float(v[found.best]) for path, v in values.items()}
     at_best = parameters.replace(params, best)
-    write_toml(
+    _write_parameters(
         out / "best.toml",
-        resolved(
-            replace(
-                config,
-                recordings=(),
-                held_back=(),
-                split=None,
-                tuned_on=(*config.tuned_on, *(fingerprint(r) for r in recordings)),
-            ),
-            at_best,
-        ),
+        config,
+        at_best,
+        [fingerprint(r) for r in recordings],
         f"best of {len(found.mean)} parameter sets, chosen on {len(recordings)} recordings",
     )
     entries = []

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from pedjax.packing import points_of
 from pedjax.recording import Clock, Recording, inertial
 from pedjax.running import Track
-from pedjax.scoring import Score, _clock, aligned
+from pedjax.scoring import Score, aligned
 
 Other = tuple[str, Track]
 
@@ -33,7 +33,7 @@ def trajectory(
     plan.plot(path[:, 0], path[:, 1], color="C0", lw=1.2, label=track.system if other is None else "after")
     plan.plot(*path[0, :2], "o", color="C2", ms=7, label="start")
     plan.plot(*path[-1, :2], "s", color="C3", ms=6, label="end")
-    index, position = points_of(recording, _clock(track), None)
+    index, position = points_of(recording, track.time, None)
     if len(index):
         if recording.landmarks is None:
             plan.plot(position[:, 0], position[:, 1], color="k", lw=0.9, ls="--", label="truth")

@@ -67,7 +67,7 @@ def sweep(
     dtype = jnp.result_type(float)
     cast = parameters.cast(params, dtype)
     batch = pack(chosen, cast, walks_for(chosen, params, recordings, sensor, clock, loss), dtype)
-    problem = Problem(chosen, tuple(values), loss, alignment)
+    problem = Problem(chosen, loss, alignment)
     width = max(_LANES // batch.packed.slot.shape[1], 1)
     width = min(width, count)
     found = []

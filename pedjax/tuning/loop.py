@@ -105,7 +105,7 @@ def tune(
     walks = walks_for(chosen, params, recordings, sensor, clock, settings.loss)
     others = walks_for(chosen, params, held_back, sensor, clock, settings.loss)
     training, validation = _part(len(walks), settings)
-    problem = Problem(chosen, settings.names, settings.loss, settings.alignment)
+    problem = Problem(chosen, settings.loss, settings.alignment)
     with double_precision():
         hard = parameters.cast(parameters.replace(params, {"gate.width": 0.0}), float)
         everything = pack(chosen, hard, walks)
@@ -126,7 +126,9 @@ def tune(
         )
 
 
-_ADAPTIVE = ("gate.follow", "gate.follow_time", "gate.growth", "gate.floor")
+ADAPTIVE_NAMES = ("gate.follow", "gate.follow_time", "gate.growth", "gate.floor")
+"""The coefficients of the adaptive gate: without it they have no effect."""
+
 _LIMITS = (
     ("iterations", 1, 1e6), ("starts", 1, 1e4), ("check_every", 1, 1e6), ("spread", 0, 20), ("grid", 0, 1e4),
     ("width", 1e-3, 5), ("learning_rate", 1e-6, 10), ("clip", 1e-9, 1e9), ("validation", 0, 0.9),
@@ -147,7 +149,7 @@ def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
         _, group, *_ = [*name.split("."), ""]
         if group in DETECTORS and group != params.stance.detector:
             raise InputError(f"'{name}' has no effect: stance.detector is '{params.stance.detector}'")
-        if name in _ADAPTIVE and params.gate.kind != "adaptive":
+        if name in ADAPTIVE_NAMES and params.gate.kind != "adaptive":
             raise InputError(f"'{name}' has no effect: gate.kind is '{params.gate.kind}', not 'adaptive'")
     if settings.loss not in LOSSES:
         raise InputError(f"loss '{settings.loss}' is unknown; known are: {', '.join(LOSSES)}")

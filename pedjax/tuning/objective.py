@@ -23,7 +23,6 @@ class Problem(NamedTuple):
     """What a loss is made of: static parts of one tuning."""
 
     system: System
-    names: tuple[str, ...]
     loss: str
     alignment: str
 

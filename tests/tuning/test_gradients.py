@@ -81,7 +81,7 @@ class Loss:
         self.params = at(truth, detector)
         self.specs = parameters.specs(self.params)
         self.names = tuple(names)
-        self.problem = Problem(IEZ, self.names, "rms_2d", "none")
+        self.problem = Problem(IEZ, "rms_2d", "none")
         self.cast = parameters.cast(self.params, float)
         self.batch = pack(IEZ, self.cast, [scored])
         self.free = {
@@ -175,7 +175,7 @@ FORWARD = ("stance.shoe.threshold", "process.gyroscope")
 @pytest.fixture(scope="module")
 def forward(everything):
     free = {n: everything.free[n] for n in FORWARD}
-    problem = everything.problem._replace(names=FORWARD)
+    problem = everything.problem
     loss, gradient = objective.soft_loss_and_gradient_forward(
         problem, everything.cast, free, everything.batch
     )
