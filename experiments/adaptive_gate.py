@@ -21,14 +21,15 @@ import numpy as np
 
 import pedjax
 from pedjax import parameters
-from pedjax.config import DEFAULT_NAMES
 from pedjax.output import folder, write_json, write_toml
 from pedjax.recording import Recording
 from pedjax.runtime import double_precision
-from pedjax.tuning import ADAPTIVE_NAMES, TuneSettings
+from pedjax.systems.iez import ADAPTIVE, IEZ
+from pedjax.tuning import TuneSettings
 
 THRESHOLD = "stance.shoe.threshold"
-NAMES = (*DEFAULT_NAMES, *ADAPTIVE_NAMES)
+NOISES = IEZ.tunable(IEZ.defaults())
+NAMES = (*NOISES, *ADAPTIVE)
 START = {
     "gate.kind": "adaptive",
     "updates.force_attitude": "new",  # the better of the two on the tuning part (0.0617 m against 0.0623)
@@ -99,7 +100,7 @@ def main() -> None:
     say(f"best fixed threshold {threshold:.2g}", fixed[0], fixed[1], f"{runs} runs")
 
     settings = TuneSettings(NAMES, iterations=args.iterations, starts=args.starts)
-    noises = pedjax.tune(tuning, replace(settings, names=DEFAULT_NAMES), "iez", published, held_back=held)
+    noises = pedjax.tune(tuning, replace(settings, names=NOISES), "iez", published, held_back=held)
     say(
         "fixed gate, noises tuned",
         mean(noises.after["tuned_on"]),

@@ -9,23 +9,44 @@ from pathlib import Path
 from typing import Any
 
 from pedjax import parameters
+from pedjax.ensemble import LOSSES
 from pedjax.errors import InputError, suggest
 from pedjax.recording import Clock
 from pedjax.sources import is_demo
-from pedjax.sweeping import DESIGNS
+from pedjax.sweeping.designs import (
+    DESIGNS,
+    Axis,
+    Design,
+    axes_around,
+    axes_of,
+    lay_out,
+    listed_sets,
+    with_settings,
+)
 from pedjax.system import System
 from pedjax.systems import system as find_system
-from pedjax.tuning import ADAPTIVE_NAMES, TuneSettings
+from pedjax.tuning import TuneSettings
 
 
 @dataclass(frozen=True)
 class SweepSettings:
-    """`ranges`: dotted path to `[low, high]` (empty: the bounds); `count` parameter sets; `design` grid,
-    random or sobol; all on each parameter's own scale."""
+    """What a sweep varies.
 
-    ranges: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    count: int = 64
+    `ranges`: dotted path to `[low, high]`, `[low, high, steps]` or a table with `scale` (empty: the bounds);
+    `values`: path to the only values it takes; `settings`: path of a setting to its choices, all sets for
+    each combination of them; `file`: a csv or Parquet table of whole sets instead; `count` sets in a round of
+    the `design` (sobol, latin, grid, random); `refine` further rounds, each on ranges `shrink` times as long
+    around the best set so far; `loss` decides what is best.
+    """
+
+    ranges: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    settings: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    file: str = ""
+    count: int = 1024
     design: str = "sobol"
+    refine: int = 0
+    shrink: float = 0.3
     loss: str = "armse"
 
 
@@ -106,6 +127,8 @@ def _read(path: Path) -> dict[str, Any]:
     for key in ("recordings", "held_back"):
         if key in raw:
             raw[key] = tuple(_beside(path.parent, str(name)) for name in raw[key])
+    if raw.get("sweep", {}).get("file"):
+        raw["sweep"] = {**raw["sweep"], "file": _beside(path.parent, str(raw["sweep"]["file"]))}
     return raw
 
 
@@ -124,7 +147,7 @@ def check(config: Config) -> None:
     """Everything that can be wrong with a config, before any data is read."""
     resolve(config)
     tune_settings(config)
-    sweep_settings(config)
+    sweep_axes(config)
     if config.seed < 0:
         raise InputError(f"{config.origin}: seed = {config.seed} must not be negative")
     if config.split is not None and not 0 < config.split < 1:
@@ -147,7 +170,7 @@ def override(config: Config, assignments: Sequence[str]) -> Config:
         parsed = _parse(value.strip())
         head, _, rest = path.strip().partition(".")
         if head in ("tune", "sweep") and rest:
-            section = {**getattr(config, head), rest: parsed}
+            section = _with(getattr(config, head), rest, parsed)
             config = replace(config, tune=section) if head == "tune" else replace(config, sweep=section)
         else:
             flat = {**parameters.flatten(config.parameters), path.strip(): parsed}
@@ -155,6 +178,14 @@ def override(config: Config, assignments: Sequence[str]) -> Config:
     config = replace(config, origin="--set" if assignments else config.origin)
     check(config)
     return config
+
+
+def _with(section: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
+    """A section with one key set; `ranges.PATH` and the like set one row of a table in it."""
+    table, _, path = key.partition(".")
+    if path:
+        return {**section, table: {**section.get(table, {}), path: value}}
+    return {**section, key: value}
 
 
 def _parse(text: str) -> Any:
@@ -182,28 +213,11 @@ def _settings(cls: type, given: Mapping[str, Any], origin: str, section: str) ->
     return cls(**clean)
 
 
-DEFAULT_NAMES = (
-    "stance.shoe.threshold",
-    "updates.zero_velocity",
-    "process.accelerometer",
-    "process.gyroscope",
-    "initial.accelerometer_bias",
-    "initial.gyroscope_bias",
-    "initial.attitude",
-)
-"""What `tune` tunes unless told otherwise, beside the coefficients of an adaptive gate."""
-
-
 def tune_settings(config: Config) -> TuneSettings:
     """The config's tuning settings, with names by default those of the system's gate and noises."""
-    _, params = resolve(config)
+    chosen, params = resolve(config)
     given = dict(config.tune)
-    if "names" not in given:
-        detector = params.stance.detector
-        names = [n.replace(".shoe.", f".{detector}.") for n in DEFAULT_NAMES]
-        if detector == "eps":
-            names[0:1] = ["stance.eps.energy", "stance.eps.rate_energy"]
-        given["names"] = [*names, *(ADAPTIVE_NAMES if params.gate.kind == "adaptive" else ())]
+    given.setdefault("names", list(chosen.tunable(params)))
     given.setdefault("seed", config.seed)
     if config.alignment != "auto":
         given.setdefault("alignment", config.alignment)
@@ -211,32 +225,70 @@ def tune_settings(config: Config) -> TuneSettings:
 
 
 def sweep_settings(config: Config) -> SweepSettings:
-    """The config's sweep settings; without ranges, a sensible pair is swept."""
-    _, params = resolve(config)
+    """The config's sweep settings, each section of its kind."""
     given = dict(config.sweep)
-    if not isinstance(given.get("ranges", {}), Mapping):
-        raise InputError(f"{config.origin}: sweep.ranges must be a table of path = [low, high]")
-    if not given.get("ranges"):
-        detector = params.stance.detector
-        first = "stance.eps.energy" if detector == "eps" else f"stance.{detector}.threshold"
-        centre = float(parameters.get(params, first))
-        spec = parameters.specs(params)[first]
-        ends = [max(centre / 30, spec.low), min(centre * 10, spec.high)]
-        given["ranges"] = {first: ends, "updates.zero_velocity": [0.003, 0.1]}
+    for key in ("ranges", "values", "settings"):
+        if not isinstance(given.get(key, {}), Mapping):
+            raise InputError(f"{config.origin}: sweep.{key} must be a table with a dotted path in each row")
+        given[key] = dict(given.get(key, {}))
     settings = _settings(SweepSettings, given, config.origin, "sweep")
-    specs = parameters.specs(params)
-    for path, ends in settings.ranges.items():
-        if path not in specs:
-            parameters.get(params, path)
-            raise InputError(f"{config.origin}: sweep.ranges: '{path}' is a setting; sweep numbers only")
-        if not isinstance(ends, Sequence) or len(ends) not in (0, 2):
-            raise InputError(f"{config.origin}: sweep.ranges.{path} must be [low, high]")
-        for end in ends:
-            parameters.replace(params, {path: end}, f"{config.origin}: sweep.ranges")
+    for name, low, high in (("count", 1, 1e8), ("refine", 0, 100), ("shrink", 1e-3, 1.0)):
+        value = getattr(settings, name)
+        if not low <= value <= high:
+            raise InputError(
+                f"{config.origin}: sweep.{name} = {value!r} must lie between {low:g} and {high:g}"
+            )
     if settings.design not in DESIGNS:
         known = suggest(settings.design, DESIGNS)
         raise InputError(f"{config.origin}: sweep.design = '{settings.design}' is unknown{known}")
+    if settings.loss not in LOSSES:
+        known = suggest(settings.loss, LOSSES)
+        raise InputError(f"{config.origin}: sweep.loss = '{settings.loss}' is unknown{known}")
+    if settings.file and (settings.ranges or settings.values or settings.refine):
+        raise InputError(
+            f"{config.origin}: sweep.file lists whole parameter sets; leave ranges, values and refine out"
+        )
     return settings
+
+
+def sweep_axes(config: Config) -> tuple[SweepSettings, tuple[Axis, ...]]:
+    """What is swept, checked. Without ranges, values or a file, the parameters that tuning would vary, from a
+    tenth to ten times their values (a quarter of the bounds each way where linear)."""
+    settings = sweep_settings(config)
+    chosen, params = resolve(config)
+    origin = f"{config.origin}: sweep"
+    for path, options in settings.settings.items():
+        if not isinstance(options, list | tuple) or not options or len(set(options)) < len(options):
+            raise InputError(f"{origin}.settings.{path} must list choices, each once")
+        if path not in parameters.choices(params):
+            parameters.get(params, path)
+            raise InputError(f"{origin}.settings: '{path}' is a number; sweep it in sweep.values")
+        for option in options:
+            parameters.replace(params, {path: option}, f"{origin}.settings")
+    ranges = dict(settings.ranges)
+    if not ranges and not settings.values:
+        ranges = {path: _around(params, path) for path in chosen.tunable(params)}
+    return settings, axes_of(params, ranges, settings.values, origin)
+
+
+def sweep_design(config: Config) -> tuple[SweepSettings, Design]:
+    """The first round's parameter sets."""
+    settings, axes = sweep_axes(config)
+    if settings.file:
+        _, params = resolve(config)
+        values = listed_sets(Path(settings.file), params)
+        axes = axes_around(params, values)
+    else:
+        values = lay_out(axes, settings.count, settings.design, config.seed)
+    return settings, with_settings(axes, values, settings.settings)
+
+
+def _around(params: Any, path: str) -> list[float]:
+    """A decade each way on a log scale, a quarter of the bounds each way on a linear one."""
+    spec, centre = parameters.specs(params)[path], float(parameters.get(params, path))
+    step = 0.25 * (spec.high - spec.low)
+    ends = (centre / 10, centre * 10) if spec.scale == "log" else (centre - step, centre + step)
+    return [max(ends[0], spec.low), min(ends[1], spec.high)]
 
 
 def resolved(config: Config, params: Any, **extra: Any) -> dict[str, Any]:

@@ -7,6 +7,7 @@ the few samples of a chunk that it looks at.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from pedjax.lanes import align
+from pedjax.lanes import align, lane_shape
 from pedjax.system import Output, System
 
 
@@ -61,27 +62,29 @@ class Points(NamedTuple):
 def scan_points(system: System, parameters: Any, packed: Packed, slots: int) -> Points:
     """Positions at the chosen samples only, for any number of lanes, differentiable in little memory.
 
-    Parameters have lanes `(..., 1)` or none; the result has lanes `(..., C)`.
+    Parameters have lanes `(S, 1)` or none; the result has lanes `(S, C)`, or `(C,)`.
     """
-    chunks = packed.begin.shape[0]
+    chunks, columns = packed.begin.shape
+    shape = lane_shape(parameters, jnp.zeros(columns))
+    # The system sees one lane axis and a unit axis after it. The unit axis matters: the compiler unrolls an
+    # innermost loop of sixteen into scalar code, but leaves a loop around a single turn to the vector units.
+    parameters = jax.tree.map(lambda x: _flat(x, 0, shape) if x.ndim else x, parameters)
+    spread = partial(jax.tree.map, lambda x: _flat(x, x.ndim - 1, shape))
     split = partial(jax.tree.map, lambda x: x.reshape(chunks, x.shape[0] // chunks, *x.shape[1:]))
-    first = system.start(parameters, jax.tree.map(lambda x: x[0], packed.opening))
-    like = jax.eval_shape(
-        lambda s: system.step(parameters, s, jax.tree.map(lambda x: x[0], packed.samples))[1], first
-    ).navigation.position
-    lanes = len(like.shape) - 1
-    rows = jnp.arange(slots).reshape((slots,) + (1,) * (lanes + 1))
+    first = system.start(parameters, spread(jax.tree.map(lambda x: x[0], packed.opening)))
+    like = first.navigation.position
+    rows = jnp.arange(slots).reshape(slots, 1, 1, 1)
 
+    @partial(jax.checkpoint, prevent_cse=False)  # only the state is stored for each sample, not each product
     def inner(carry: Any, sample: tuple[Any, Array]) -> tuple[Any, None]:
         state, buffer, updates = carry
         state, output = system.step(parameters, state, sample[0])
-        here = align(sample[1], 0, lanes)[None]
-        buffer = jnp.where(rows == here, output.navigation.position, buffer)
+        buffer = jnp.where(rows == sample[1], output.navigation.position, buffer)
         return (state, buffer, updates + output.stance), None
 
     @jax.checkpoint
     def outer(state: Any, part: tuple[Any, Array, Any, Array]) -> tuple[Any, Points]:
-        samples, slot, opening, begin = part
+        samples, slot, opening, begin = spread(part)
         fresh = system.start(parameters, opening)
         state = jax.tree.map(lambda new, old: jnp.where(begin, new, old), fresh, state)
         buffer = jnp.zeros((slots, *like.shape), like.dtype)
@@ -89,6 +92,16 @@ def scan_points(system: System, parameters: Any, packed: Packed, slots: int) -> 
         (state, buffer, updates), _ = jax.lax.scan(inner, (state, buffer, updates), (samples, slot))
         return state, Points(buffer, updates, state.healthy)
 
-    return jax.lax.scan(
+    found = jax.lax.scan(
         outer, first, (split(packed.samples), split(packed.slot), packed.opening, packed.begin)
     )[1]
+    return jax.tree.map(lambda x: x.reshape(*x.shape[:-2], *shape), found)
+
+
+def _flat(x: Array, structural: int, lanes: tuple[int, ...]) -> Array:
+    """Lanes of `x` broadcast to `lanes` and laid out in one axis, with a unit axis after it: `(..., n, 1)`.
+    All alike, they stay one: `(..., 1, 1)`."""
+    if x.size == math.prod(x.shape[:structural]):
+        return x.reshape(*x.shape[:structural], 1, 1)
+    x = jnp.broadcast_to(align(x, structural, len(lanes)), (*x.shape[:structural], *lanes))
+    return x.reshape(*x.shape[:structural], math.prod(lanes), 1)

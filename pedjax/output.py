@@ -31,10 +31,12 @@ def folder(path: str | Path) -> Path:
 def atomic(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
     """Write beside the target and move into place, so that a reader never sees half a file."""
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
         try:
             with os.fdopen(handle, "wb") as file:
                 write(file)
+                file.flush()
+                os.fsync(file.fileno())
             os.chmod(temporary, 0o644)
             os.replace(temporary, path)
         except BaseException:

@@ -93,24 +93,27 @@ def reference_of(position: np.ndarray, dtype: Any = float) -> Reference:
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["packed", "reference", "rows", "columns", "closing"],
-    meta_fields=["names", "slots"],
+    data_fields=["packed", "reference", "rows", "columns", "first", "last", "samples"],
+    meta_fields=["slots"],
 )
 @dataclass(frozen=True)
 class Batch:
     """Recordings packed for `filtering.scan_points`, and how to read its `Points` back.
 
     `reference` has lanes `(R,)` for R recordings and K rows, padded; `rows (K, R)` and `columns (R,)` say
-    where each point comes out; `closing (R,)` is the last chunk of each recording.
+    where each point comes out; `first`, `last (R,)` are the chunks in which each recording begins and ends,
+    and `samples (R,)` its length. Shapes come in few sizes, so that another recording of about the same
+    length compiles nothing.
     """
 
-    names: tuple[str, ...]
     slots: int
     packed: Packed
     reference: Reference
     rows: Array
     columns: Array
-    closing: Array
+    first: Array
+    last: Array
+    samples: Array
 
     @property
     def steps(self) -> int:
@@ -126,7 +129,14 @@ class Batch:
 
     def healthy(self, points: Points) -> Array:
         """Whether each run stayed finite to its end, `(*S, R)`."""
-        return jnp.moveaxis(jnp.moveaxis(points.healthy, -1, 1)[self.closing, self.columns], 0, -1)
+        return jnp.moveaxis(jnp.moveaxis(points.healthy, -1, 1)[self.last, self.columns], 0, -1)
+
+    def stance(self, points: Points) -> Array:
+        """Mean weight of the zero-velocity update over each recording, `(*S, R)`."""
+        chunk = jnp.arange(points.updates.shape[0])[:, None]
+        inside = ((chunk >= self.first) & (chunk <= self.last)).astype(points.updates.dtype)
+        total = jnp.einsum("cr,c...r->...r", inside, points.updates[..., self.columns])
+        return total / self.samples
 
 
 @partial(jax.jit, static_argnames=("system", "rate_hz"))
@@ -141,9 +151,10 @@ def nominal_rate(imu: Inertial) -> float:
     return max(float(round(imu.rate)), 1.0)
 
 
-def bucket(length: int) -> int:
-    """The next length of the form m·2ᵉ with m of 8 to 15: few shapes to compile, at most 1/8 of padding."""
-    step = 1 << max(length.bit_length() - 4, 0)
+def bucket(length: int, parts: int = 8) -> int:
+    """The next length m·2ᵉ with m from `parts` to twice that: few shapes to compile, 1/`parts` of padding at
+    most."""
+    step = 1 << max(length.bit_length() - parts.bit_length(), 0)
     return -(-length // step) * step
 
 
@@ -171,12 +182,15 @@ def distinct(names: Sequence[str]) -> list[str]:
     return found
 
 
-def _columns(sizes: Sequence[int]) -> list[list[int]]:
-    """Items of those sizes in columns: as many columns as cost at most a tenth more than the tightest way."""
-    counts = np.unique(np.geomspace(1, len(sizes), 200).astype(int))
-    tried = [_fill(sizes, int(count)) for count in counts]
-    cost = [len(way) * max(sum(sizes[r] for r in members) for members in way) for way in tried]
-    return [way for way, c in zip(tried, cost, strict=True) if c <= 1.1 * min(cost)][-1]
+def columns_of(sizes: Sequence[int], most: int) -> list[list[int]]:
+    """Items of those sizes in columns: as many, up to `most`, as cost at most a twentieth more than one."""
+    tried = [_fill(sizes, count) for count in range(1, min(most, len(sizes)) + 1)]
+    return next(way for way in reversed(tried) if padded(sizes, way) <= 1.05 * sum(sizes))
+
+
+def padded(sizes: Sequence[int], columns: Sequence[Sequence[int]]) -> int:
+    """What items of those sizes take in columns of equal length."""
+    return len(columns) * max(sum(sizes[r] for r in members) for members in columns)
 
 
 def _fill(sizes: Sequence[int], count: int) -> list[list[int]]:
@@ -190,16 +204,31 @@ def _fill(sizes: Sequence[int], count: int) -> list[list[int]]:
     return columns
 
 
+def chunk_of(walks: Sequence[Walk]) -> int:
+    """Length of the driver's chunks: the power of two nearest to the root of the longest recording's."""
+    return 1 << round(math.log2(max(len(w.imu.time) for w in walks)) / 2)
+
+
+def sizes_of(walks: Sequence[Walk], chunk: int) -> list[int]:
+    """Chunks that each recording takes; at least one padding sample ends each."""
+    return [len(w.imu.time) // chunk + 1 for w in walks]
+
+
 def pack(
-    system: System, parameters: Any, walks: Sequence[Walk], dtype: Any = float, chunk: int | None = None
+    system: System,
+    parameters: Any,
+    walks: Sequence[Walk],
+    dtype: Any = float,
+    chunk: int | None = None,
+    most_columns: int = 8,
 ) -> Batch:
-    """Pack recordings into columns of equal length with little padding."""
+    """Pack recordings into up to `most_columns` columns of equal length with little padding."""
     if not walks:
         raise InputError("no recording was given")
-    chunk = chunk or max(math.isqrt(max(len(w.imu.time) for w in walks)), 1)
-    sizes = [len(w.imu.time) // chunk + 1 for w in walks]  # at least one padding sample ends each
-    columns = _columns(sizes)
-    chunks = max(sum(sizes[r] for r in members) for members in columns)
+    chunk = chunk or chunk_of(walks)
+    sizes = sizes_of(walks, chunk)
+    columns = columns_of(sizes, most_columns)
+    chunks = bucket(max(sum(sizes[r] for r in members) for members in columns), parts=16)
     first, column = np.zeros(len(walks), int), np.zeros(len(walks), int)
     for c, members in enumerate(columns):
         first[members] = np.cumsum([0, *(sizes[r] for r in members[:-1])])
@@ -221,13 +250,14 @@ def pack(
         openings.append(jax.tree.map(lambda x, i=current: x[i], stacked))
     together = partial(jax.tree.map, lambda *x: jnp.stack(x, axis=-1))
     return Batch(
-        names=tuple(distinct([w.name for w in walks])),
         slots=slots,
         packed=Packed(together(*samples), together(*openings), jnp.asarray(begin), jnp.asarray(slot)),
         reference=_reference(walks, dtype),
         rows=jnp.asarray(rows),
         columns=jnp.asarray(column),
-        closing=jnp.asarray(first + np.array(sizes) - 1),
+        first=jnp.asarray(first),
+        last=jnp.asarray(first + np.array(sizes) - 1),
+        samples=jnp.asarray([len(w.imu.time) for w in walks], dtype),
     )
 
 
@@ -238,26 +268,29 @@ def _slots(
     the flattened buffers each point comes out, `(K, R)`. Two points on one sample share its row."""
     slot = np.full(shape, -1)
     used = np.zeros((shape[0] // chunk, shape[1]), int)
-    most = max(1, *(len(w.index) for w in walks))
-    chunk_of, slot_of = np.zeros((most, len(walks)), int), np.zeros((most, len(walks)), int)
+    most = _rows(walks)
+    in_chunk, slot_of = np.zeros((most, len(walks)), int), np.zeros((most, len(walks)), int)
     for r, w in enumerate(walks):
         sample, inverse = np.unique(first[r] * chunk + w.index, return_inverse=True)
         for s in sample:
             slot[s, column[r]] = used[s // chunk, column[r]]
             used[s // chunk, column[r]] += 1
-        chunk_of[: len(w.index), r] = sample[inverse] // chunk
+        in_chunk[: len(w.index), r] = sample[inverse] // chunk
         slot_of[: len(w.index), r] = slot[sample, column[r]][inverse]
-    slots = max(int(used.max()), 1)
-    return slot, slots, chunk_of * slots + slot_of
+    slots = bucket(max(int(used.max()), 1))
+    return slot, slots, in_chunk * slots + slot_of
 
 
 def _reference(walks: Sequence[Walk], dtype: Any) -> Reference:
     """References side by side in lanes `(R,)`, padded to the longest with points that do not count."""
-    most = max(1, *(len(w.index) for w in walks))
-    padded = np.full((len(walks), most, 3), np.nan)
+    known = np.full((len(walks), _rows(walks), 3), np.nan)
     for r, w in enumerate(walks):
-        padded[r, : len(w.index)] = w.position
-    return jax.tree.map(lambda *x: jnp.stack(x, axis=-1), *[reference_of(p, dtype) for p in padded])
+        known[r, : len(w.index)] = w.position
+    return jax.tree.map(lambda *x: jnp.stack(x, axis=-1), *[reference_of(p, dtype) for p in known])
+
+
+def _rows(walks: Sequence[Walk]) -> int:
+    return bucket(max(1, *(len(w.index) for w in walks)))
 
 
 def _idle(x: Array, n: int) -> Array:

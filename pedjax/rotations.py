@@ -7,9 +7,10 @@ about the navigation frame's +z. Gradients are finite everywhere, at angle zero 
 from __future__ import annotations
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from pedjax.lanes import dot, eye, matmul, matmul_t
+from pedjax.lanes import constant, dot, eye, matmul, matmul_t
 
 
 def wrap(angle: Array) -> Array:
@@ -17,16 +18,13 @@ def wrap(angle: Array) -> Array:
     return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))
 
 
+_EPSILON = np.cross(np.eye(3)[:, None], np.eye(3)[None]).transpose(2, 1, 0)
+"""skew(x)[i, j] = sum over k of this [i, j, k] x[k]."""
+
+
 def skew(x: Array) -> Array:
     """[x×], the matrix of the vector product: skew(x) y = x × y."""
-    zero = jnp.zeros_like(x[0])
-    return jnp.stack(
-        [
-            jnp.stack([zero, -x[2], x[1]]),
-            jnp.stack([x[2], zero, -x[0]]),
-            jnp.stack([-x[1], x[0], zero]),
-        ]
-    )
+    return jnp.sum(constant(_EPSILON, x[0]) * x[None, None], axis=2)
 
 
 def _sinc_terms(square: Array) -> tuple[Array, Array]:
@@ -41,16 +39,20 @@ def _sinc_terms(square: Array) -> tuple[Array, Array]:
     n = 34459425.0 - x * (4729725.0 - x * (135135.0 - x * (990.0 - x)))
     d = 34459425.0 - x * (16216200.0 - x * (945945.0 - x * (13860.0 - 45.0 * x)))
     n, d = n * 1e-7, d * 1e-7  # keeps squares small in float32
-    common = n / (d * d + x * n * n)
-    return d * common, 0.5 * n * common
+    whole = d * d + x * n * n
+    return d * n / whole, 0.5 * n * n / whole
 
 
 def exp(phi: Array) -> Array:
     """Rotation matrix of the rotation vector `phi (3, *L)`, up to half a turn (Rodrigues)."""
     square = dot(phi, phi)
     sine, cosine = _sinc_terms(square)
-    identity = eye(3, square)
-    return identity + sine * skew(phi) + cosine * (phi[:, None] * phi[None] - square * identity)
+    one, epsilon = constant(np.eye(3), square), constant(_EPSILON, square)
+    # one sum over k, so that the compiler makes the matrix once: it repeats anything cheaper in every use
+    turn = epsilon * (sine * phi)
+    stretch = one[None] * (cosine * phi[:, None, None] * phi)
+    keep = one[:, :, None] * one[None] * (1 - cosine * square)
+    return jnp.sum(keep + turn + stretch, axis=2)
 
 
 def cayley(phi: Array) -> Array:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import platform
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
+
+from pedjax.errors import InputError
 
 _FAST_CPU = (
     "--xla_cpu_use_fusion_emitters=false",
@@ -17,41 +24,148 @@ _FAST_CPU = (
 """Compile a scanned filter as one loop instead of dispatching every small kernel of its body: four to
 twenty times faster. Known to jaxlib 0.10; an unknown option would abort the process, hence the check."""
 
+_WIDE_CPU = "--xla_cpu_prefer_vector_width=512"
+"""Use the whole vector registers where the processor has wide ones: twice the speed in lanes."""
+
 _KNOWN_JAXLIB = ((0, 10),)
 
+PRECISIONS = ("float32", "float64")
 
-def configure(fast: bool = True) -> bool:
-    """Choose the fast compilation options; call it before anything else uses JAX.
 
-    Returns whether they are in force. Where they are not known to this jaxlib, or JAX has already started,
-    everything works without them, several times slower, and a warning says so. The command line makes this
-    call; importing pedjax never does. `PEDJAX_FAST=0` in the environment turns it off.
+class Runtime(NamedTuple):
+    """What is in force: the fast compilation options, the number of `devices` wanted of a CPU (None: JAX's
+    own choice), the precision, the folder of compiled programs, and what could not be had."""
+
+    fast: bool
+    devices: int | None
+    precision: str
+    cache: Path | None
+    notes: tuple[str, ...]
+
+
+def configure(
+    fast: bool = True,
+    *,
+    precision: str | None = None,
+    devices: int | None = None,
+    cache: str | Path | None = None,
+) -> Runtime:
+    """Choose how programs are compiled; call it before anything else uses JAX.
+
+    `fast` asks for the fast compilation options (`PEDJAX_FAST=0` in the environment turns them off);
+    `precision`, float32 or float64, is that of everything that does not choose its own (tuning always runs in
+    float64); `devices` splits the CPU into that many, for sweeps; `cache` keeps compiled programs in that
+    folder, so that the next process need not compile them.
+
+    What cannot be had, because it is not known to this jaxlib or JAX has already started, is warned of, and
+    everything works without it. The command line makes this call; importing pedjax never does.
     """
-    if not fast or os.environ.get("PEDJAX_FAST", "1") == "0":
-        return False
+    notes: list[str] = []
+    if precision is not None:
+        if precision not in PRECISIONS:
+            raise InputError(f"precision '{precision}' is unknown; known are: {', '.join(PRECISIONS)}")
+        jax.config.update("jax_enable_x64", precision == "float64")
+    if devices is not None:
+        _split_cpu(devices, notes)
+    in_force = _fast_options(notes) if fast and os.environ.get("PEDJAX_FAST", "1") != "0" else False
+    folder = None if cache is None else _keep_compiled(Path(cache), notes)
+    for note in notes:
+        warnings.warn(note, stacklevel=2)
+    return Runtime(in_force, devices, str(jnp.result_type(float)), folder, tuple(notes))
+
+
+def _fast_options(notes: list[str]) -> bool:
+    """Put the fast options into XLA_FLAGS; whether they are in force."""
     flags = os.environ.get("XLA_FLAGS", "")
-    if all(option.split("=")[0] in flags for option in _FAST_CPU):
+    wanted = [*_FAST_CPU, *([_WIDE_CPU] if _has_wide_vectors() else [])]
+    missing = [option for option in wanted if option.split("=")[0] not in flags]
+    if not missing:
         return True
     import jaxlib
 
     version = tuple(int(part) for part in jaxlib.__version__.split(".")[:2])
     if version not in _KNOWN_JAXLIB:
-        warnings.warn(
+        notes.append(
             f"fast compilation options are not known for jaxlib {jaxlib.__version__}; filters run without "
-            "them, several times slower",
-            stacklevel=2,
+            "them, several times slower"
         )
         return False
     if _started():
-        warnings.warn(
+        notes.append(
             "JAX has already started: call pedjax.configure() before using it, or filters run several "
-            "times slower",
-            stacklevel=2,
+            "times slower"
         )
         return False
-    missing = [option for option in _FAST_CPU if option.split("=")[0] not in flags]
     os.environ["XLA_FLAGS"] = " ".join([flags, *missing]).strip()
     return True
+
+
+def _split_cpu(devices: int, notes: list[str]) -> None:
+    if devices < 1:
+        raise InputError(f"devices = {devices} must be at least 1")
+    if not _started():
+        jax.config.update("jax_num_cpu_devices", devices)
+    elif len(jax.local_devices(backend="cpu")) != devices:
+        have = len(jax.local_devices(backend="cpu"))
+        notes.append(f"JAX has already started with {have} CPU devices: {devices} cannot be had any more")
+
+
+def _keep_compiled(folder: Path, notes: list[str]) -> Path | None:
+    """The cache for this machine's processor below `folder`: programs of another one could not run here."""
+    place = folder / hashlib.sha256(_processor().encode()).hexdigest()[:12]
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        notes.append(f"{place}: compiled programs cannot be kept there ({error.strerror})")
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(place))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    return place
+
+
+def default_cache() -> Path:
+    """Where the command line keeps compiled programs: `PEDJAX_CACHE`, or the user's cache folder."""
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(os.environ.get("PEDJAX_CACHE") or Path(home) / "pedjax")
+
+
+def _processor() -> str:
+    """What the processor calls itself, and its features where the system lists them."""
+    known = [platform.machine(), platform.processor()]
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return " ".join(known)
+    for key in ("model name", "flags", "Features"):
+        known += [line for line in lines if line.startswith(key)][:1]
+    return "\n".join(known)
+
+
+def _has_wide_vectors() -> bool:
+    return " avx512f " in f"{_processor()} "
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def lane_count(dtype: jnp.dtype, platform_name: str | None = None) -> int:
+    """How many runs to put side by side in one loop of the filter.
+
+    On a CPU as many as fill one vector register: a step then has no loop over lanes left, and its state
+    stays in the nearest cache (`python -m benchmarks` draws the rate against this number). Without the fast
+    options every kernel of a step is dispatched by itself, which more lanes share. A GPU wants thousands.
+    """
+    where = platform_name or jax.default_backend()
+    if where != "cpu":
+        return 8192
+    if _FAST_CPU[0] not in os.environ.get("XLA_FLAGS", ""):
+        return 64
+    register = 64 if _has_wide_vectors() else 32
+    return register // jnp.dtype(dtype).itemsize
 
 
 def _started() -> bool:

@@ -41,13 +41,15 @@ class System(NamedTuple):
 
     `defaults()` gives its parameters; `prepare(parameters, force (T, 3), rate (T, 3), dt (T,), rate_hz,
     length)` its `Inputs`, from the settings alone (samples from `length` on are padding, with dt = 0);
+    `tunable(parameters)` the paths that tuning and sweeps vary unless told otherwise;
     `start(parameters, opening)` the first state; and `step(parameters, state, sample)` the next state and an
-    `Output`. All but `defaults` are pure and take leaves with any trailing lanes.
+    `Output`. The last three are pure and take leaves with any trailing lanes.
     """
 
     name: str
     title: str
     defaults: Callable[[], Any]
+    tunable: Callable[[Any], tuple[str, ...]]
     prepare: Callable[..., Inputs]
     start: Callable[[Any, Any], Any]
     step: Callable[[Any, Any, Any], tuple[Any, Output]]

@@ -1,11 +1,15 @@
 """What all tests share: the compilation options, double precision, and walks that are made once."""
 
+import os
+import tempfile
+
 import matplotlib
 
 import pedjax
 
+os.environ["PEDJAX_CACHE"] = tempfile.mkdtemp(prefix="pedjax-test-")  # compiled anew by each test run
 matplotlib.use("Agg")
-CONFIGURED = pedjax.configure()
+CONFIGURED = pedjax.configure().fast
 
 import jax  # noqa: E402
 import numpy as np  # noqa: E402

@@ -156,7 +156,7 @@ def python(code, **environment):
 def test_without_the_options_the_track_is_the_same(tmp_path):
     code = """
 import sys, jax, numpy as np, pedjax
-print(pedjax.configure())
+print(pedjax.configure().fast)
 jax.config.update("jax_enable_x64", True)
 np.save(sys.argv[1] if len(sys.argv) > 1 else TARGET, pedjax.run(pedjax.demo_walk(1, laps=1)).position)
 """
@@ -175,19 +175,19 @@ import warnings, jax.numpy as jnp, pedjax
 jnp.zeros(3).block_until_ready()
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
-    print(pedjax.configure(), len(caught), "already started" in str(caught[0].message), caught[0].filename)
+    print(pedjax.configure().fast, len(caught), "already started" in str(caught[0].message))
 """
-    assert python(code).split()[:3] == ["False", "1", "True"]
+    assert python(code).split() == ["False", "1", "True"]
 
 
 def test_configuring_early_works_once_and_again():
     code = """
 import os, pedjax
-print(pedjax.configure(), pedjax.configure(), len(os.environ["XLA_FLAGS"].split()))
+print(pedjax.configure().fast, pedjax.configure().fast, len(os.environ["XLA_FLAGS"].split()))
 """
     first, second, flags = python(code, XLA_FLAGS="--xla_force_host_platform_device_count=1").split()
     assert first == second
-    assert flags == ("4" if first == "True" else "1")
+    assert flags in (("4", "5") if first == "True" else ("1",))  # one more where vectors are wide
 
 
 def test_importing_starts_nothing():

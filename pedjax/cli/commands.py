@@ -13,7 +13,9 @@ import numpy as np
 from tqdm import tqdm
 
 from pedjax import __version__, parameters, plots
-from pedjax.config import Config, load, override, resolve, resolved, sweep_settings, tune_settings
+from pedjax.cli import sweeps
+from pedjax.cli.common import configured, say, write_parameters
+from pedjax.config import Config, load, override, resolve, resolved, tune_settings
 from pedjax.detectors.stance import DETECTORS
 from pedjax.errors import InputError, suggest
 from pedjax.output import folder, write_figure, write_json, write_table, write_toml
@@ -24,37 +26,10 @@ from pedjax.running import run as run_system
 from pedjax.scoring import Score, evaluate
 from pedjax.sources import read_all
 from pedjax.stance_roc import detector_roc, still_labels
-from pedjax.sweeping import design
-from pedjax.sweeping import sweep as sweep_sets
 from pedjax.tuning import fingerprint, refuse_overlap, split
 from pedjax.tuning import tune as tune_system
 
 _MOST_PICTURES = 12  # of single walks while tuning
-
-
-def _config(args: argparse.Namespace) -> Config:
-    config = load(*args.config)
-    for name in ("system", "sensor", "clock", "alignment", "seed", "out"):
-        if getattr(args, name, None) is not None:
-            config = replace(config, **{name: getattr(args, name)})
-    if args.recordings:
-        config = replace(config, recordings=tuple(args.recordings))
-    if getattr(args, "held_back", None):
-        config = replace(config, held_back=tuple(args.held_back))
-    if getattr(args, "split", None) is not None:
-        config = replace(config, split=args.split)
-    if getattr(args, "names", None):
-        config = replace(config, tune={**config.tune, "names": list(args.names)})
-    if args.no_figures:
-        config = replace(config, figures=False)
-    config = override(config, args.set)
-    if not config.recordings:
-        raise InputError("no recording was given; name files, or demo:0 for a walk made by the package")
-    return config
-
-
-def _say(*lines: str) -> None:
-    print(*lines, sep="\n", flush=True)
 
 
 def info(args: argparse.Namespace) -> int:
@@ -63,7 +38,7 @@ def info(args: argparse.Namespace) -> int:
     out = folder(args.out) if args.out else None
     described = []
     for path, recording, stem in zip(args.recordings, recordings, _stems(recordings), strict=True):
-        _say(*_describe(path, recording))
+        say(*_describe(path, recording))
         sensors = {n: {"rate_hz": s.gyroscope.rate} for n, s in recording.sensors.items()}
         described.append(
             {"path": path, "format": recording.format, "duration_s": recording.duration, "sensors": sensors,
@@ -73,7 +48,7 @@ def info(args: argparse.Namespace) -> int:
             for name in recording.sensors:
                 target = out / f"{stem}_{name}_signals.png"
                 write_figure(target, plots.raw_signals(recording, name))
-                _say(f"  drawn: {target}")
+                say(f"  drawn: {target}")
     if out is not None:
         write_json(out / "info.json", {"pedjax_version": __version__, "recordings": described})
     return 0
@@ -108,7 +83,7 @@ def _describe(path: str, recording: Recording) -> list[str]:
 
 def run(args: argparse.Namespace) -> int:
     """Tracks, errors, tables and pictures."""
-    config = _config(args)
+    config = configured(args)
     out = folder(config.out)
     chosen, params = resolve(config)
     recordings = read_all(config.recordings, args.format)
@@ -120,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         if fingerprint(recording) in config.tuned_on:
             entry["tuned_on"] = True
         entries.append(entry)
-        _say(_line(path, recording, track, score, entry.get("tuned_on", False)))
+        say(_line(path, recording, track, score, entry.get("tuned_on", False)))
         write_table(out / f"{stem}_track.csv", _columns(track))
         if config.figures:
             picture = plots.trajectory(track, recording, score, config.alignment)
@@ -131,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
             )
     _metrics(out, config, entries)
     write_toml(out / "config.toml", resolved(config, params))
-    _say(f"results in {out}")
+    say(f"results in {out}")
     return 0
 
 
@@ -193,15 +168,6 @@ def _line(path: str, recording: Recording, track: Track, score: Score | None, tu
     return text
 
 
-def _write_parameters(
-    path: Path, config: Config, params: Any, chosen_on: Sequence[str], heading: str
-) -> None:
-    """Parameters as a config that every command takes, with the fingerprints of all they were chosen on."""
-    tuned_on = tuple(dict.fromkeys([*config.tuned_on, *chosen_on]))
-    alone = replace(config, recordings=(), held_back=(), split=None, tuned_on=tuned_on)
-    write_toml(path, resolved(alone, params), heading)
-
-
 def _metrics(out: Path, config: Config, entries: list[dict[str, Any]], **extra: Any) -> None:
     whole = {"pedjax_version": __version__, "system": config.system, "seed": config.seed}
     write_json(out / "metrics.json", {**whole, **extra, "recordings": entries})
@@ -209,7 +175,7 @@ def _metrics(out: Path, config: Config, entries: list[dict[str, Any]], **extra: 
 
 def tune(args: argparse.Namespace) -> int:
     """Tuned parameters, errors before and after, history, pictures."""
-    config = _config(args)
+    config = configured(args)
     settings = tune_settings(config)
     chosen, params = resolve(config)
     out = folder(config.out)
@@ -229,13 +195,13 @@ def tune(args: argparse.Namespace) -> int:
             bar.set_postfix_str(f"best {best:.3f} m")
             bar.refresh()
             if not sys.stderr.isatty():
-                _say(f"step {iteration} of {total}: best {best:.4f} m")
+                say(f"step {iteration} of {total}: best {best:.4f} m")
 
         tuned = tune_system(
             recordings, settings, chosen, params,
             held_back=held, sensor=config.sensor, clock=config.clock, progress=progress,
         )  # fmt: skip
-    _write_parameters(
+    write_parameters(
         out / "tuned.toml",
         config,
         tuned.params,
@@ -264,13 +230,13 @@ def tune(args: argparse.Namespace) -> int:
         write_figure(out / "tuning.png", plots.tuning_history(tuned))
     for name, value in tuned.values.items():
         unit = parameters.specs(params)[name].unit
-        _say(f"  {name}: {float(parameters.get(params, name)):.4g} to {value:.4g} {unit}")
+        say(f"  {name}: {float(parameters.get(params, name)):.4g} to {value:.4g} {unit}")
     for group in before:
-        _say(
+        say(
             f"{group.replace('_', ' ')} ({before[group]['count']} recordings): mean {settings.loss} "
             f"{_metres(before[group]['mean_m'])} before, {_metres(after[group]['mean_m'])} after"
         )
-    _say(f"filter runs: {tuned.runs['gradients']} gradients, {tuned.runs['hard']} hard", f"results in {out}")
+    say(f"filter runs: {tuned.runs['gradients']} gradients, {tuned.runs['hard']} hard", f"results in {out}")
     return 0
 
 
@@ -308,71 +274,9 @@ def _history(history: list[dict[str, Any]]) -> dict[str, list[Any]]:
     return rows
 
 
-def sweep(args: argparse.Namespace) -> int:
-    """Errors of a design of parameter sets."""
-    config = _config(args)
-    settings = sweep_settings(config)
-    chosen, params = resolve(config)
-    out = folder(config.out)
-    recordings = read_all(config.recordings, args.format)
-    values = design(params, settings.ranges, settings.count, settings.design, config.seed)
-    with tqdm(total=settings.count, unit="set", disable=not sys.stderr.isatty()) as bar:
-
-        def progress(done: int, total: int) -> None:
-            bar.n = done
-            bar.refresh()
-
-        alignment = "yaw_translation" if config.alignment == "auto" else config.alignment
-        found = sweep_sets(
-            recordings, values, chosen, params, loss=settings.loss, alignment=alignment,
-            sensor=config.sensor, clock=config.clock, progress=progress,
-        )  # fmt: skip
-    columns: dict[str, Sequence[Any]] = {path: v.tolist() for path, v in values.items()}
-    columns["mean_m"] = found.mean.tolist()
-    columns |= {name: found.loss[:, r].tolist() for r, name in enumerate(found.names)}
-    write_table(out / "sweep.csv", columns)
-    best = {path: float(v[found.best]) for path, v in values.items()}
-    at_best = parameters.replace(params, best)
-    _write_parameters(
-        out / "best.toml",
-        config,
-        at_best,
-        [fingerprint(r) for r in recordings],
-        f"best of {len(found.mean)} parameter sets, chosen on {len(recordings)} recordings",
-    )
-    entries = []
-    for path, recording in zip(config.recordings, recordings, strict=True):
-        track = run_system(recording, chosen, at_best, sensor=config.sensor, clock=config.clock)
-        entries.append(
-            {**_entry(path, recording, track, evaluate(track, recording, config.alignment)), "tuned_on": True}
-        )
-    _metrics(
-        out,
-        config,
-        entries,
-        loss=settings.loss,
-        sets=len(found.mean),
-        best=best,
-        best_mean_m=found.mean[found.best],
-    )
-    write_toml(
-        out / "config.toml",
-        resolved(config, params, sweep={**vars(settings), "ranges": dict(settings.ranges)}),
-    )
-    if config.figures:
-        specs = parameters.specs(params)
-        log = {p for p in values if specs[p].scale == "log"}
-        write_figure(out / "sweep.png", plots.sweep_map(found, log, {p: specs[p].unit for p in values}))
-    shown = ", ".join(f"{p} = {v:.4g}" for p, v in best.items())
-    lowest = _metres(float(found.mean[found.best]))
-    _say(f"{len(found.mean)} sets: best mean {settings.loss} {lowest} at {shown}")
-    _say(f"results in {out}")
-    return 0
-
-
 def roc(args: argparse.Namespace) -> int:
     """ROC of stance detectors; labels from the truth's velocity."""
-    config = _config(args)
+    config = configured(args)
     _, params = resolve(config)
     out = folder(config.out)
     names = args.detectors or list(DETECTORS)
@@ -406,7 +310,7 @@ def roc(args: argparse.Namespace) -> int:
                 "p_detection": curve.p_detection[::every].tolist(),
             },
         )
-        _say(
+        say(
             f"{name:6} AUC {curve.auc:.4f}; at {args.false_alarm:.0%} false alarm: threshold "
             f"{points[name]['threshold']:.4g}, detection {points[name]['p_detection']:.3f}"
         )
@@ -422,7 +326,7 @@ def roc(args: argparse.Namespace) -> int:
     _metrics(out, config, entries, roc=points, still_below_m_per_s=args.still_below)
     if config.figures:
         write_figure(out / "roc.png", plots.roc_curve(curves))
-    _say(f"results in {out}")
+    say(f"results in {out}")
     return 0
 
 
@@ -432,7 +336,7 @@ def show_parameters(args: argparse.Namespace) -> int:
     if args.system is not None:
         config = replace(config, system=args.system)
     _, params = resolve(override(config, args.set))
-    _say(parameters.table(params))
+    say(parameters.table(params))
     return 0
 
 
@@ -440,7 +344,8 @@ COMMANDS = {
     "info": info,
     "run": run,
     "tune": tune,
-    "sweep": sweep,
+    "sweep": sweeps.sweep,
+    "sweep-report": sweeps.sweep_report,
     "roc": roc,
     "parameters": show_parameters,
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -58,7 +59,29 @@ def _parser() -> argparse.ArgumentParser:
         "--split", type=float, metavar="PART", help="tune on this part of the recordings, hold back the rest"
     )
     tune.add_argument("--names", metavar="PATH", nargs="+", help="the parameters to tune")
-    commands.add_parser("sweep", parents=both, help="errors of many parameter sets")
+    sweep = commands.add_parser(
+        "sweep", parents=both, help="errors of many parameter sets, kept as they come"
+    )
+    sweep.add_argument(
+        "--devices", type=int, metavar="N", help="devices to split the CPU into (default: one for each core)"
+    )
+    sweep.add_argument("--precision", choices=("float32", "float64"), help="of the filter (default: float32)")
+    sweep.add_argument(
+        "--distributed", action="store_true",
+        help="this process is one of a job (SLURM, Open MPI, Kubernetes, or as --coordinator says)",
+    )  # fmt: skip
+    sweep.add_argument("--coordinator", metavar="HOST:PORT", help="where the job's first process listens")
+    sweep.add_argument("--processes", type=int, metavar="N", help="processes of the job")
+    sweep.add_argument("--process-id", type=int, metavar="I", help="number of this one, from 0")
+    report = commands.add_parser("sweep-report", help="what a sweep's results say")
+    report.add_argument("folder", metavar="DIR", help="the --out of a sweep")
+    report.add_argument("--score", metavar="COLUMN", help="what to go by (default: the sweep's loss)")
+    report.add_argument("--no-figures", action="store_true", help="draw nothing")
+    for command in (sweep, report):
+        command.add_argument("--against", metavar="COLUMN", help="the other score of the Pareto front")
+        command.add_argument(
+            "--no-gradient", dest="gradient", action="store_false", help="no slopes at the best set"
+        )
     roc = commands.add_parser(
         "roc", parents=both, help="ROC of stance detectors against the truth's velocity"
     )
@@ -77,16 +100,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     if not getattr(args, "recordings", True) and not getattr(args, "config", None):
         parser.error(f"{args.command}: name a recording, or demo:0 for a walk made by the package")
-    from pedjax.runtime import configure
-
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        configure()
-    for warning in caught:
-        print(f"pedjax: {warning.message}", file=sys.stderr)
-    from pedjax.cli import commands
-
     try:
+        _start(args)
+        from pedjax.cli import commands
+
         return commands.COMMANDS[args.command](args)
     except InputError as error:
         print(f"pedjax: {error}", file=sys.stderr)
@@ -94,3 +111,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("pedjax: interrupted", file=sys.stderr)
         return 130
+    except BrokenPipeError:  # whoever read the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _start(args: argparse.Namespace) -> None:
+    """Everything that must be chosen before JAX starts."""
+    from pedjax.runtime import available_cores, configure, default_cache
+
+    sweeps = args.command in ("sweep", "sweep-report")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        configure(
+            precision=getattr(args, "precision", None),
+            devices=(getattr(args, "devices", None) or available_cores()) if sweeps else None,
+            cache=default_cache(),
+        )
+    for warning in caught:
+        print(f"pedjax: {warning.message}", file=sys.stderr)
+    if getattr(args, "distributed", False) or getattr(args, "coordinator", None):
+        import jax
+
+        try:
+            jax.distributed.initialize(args.coordinator, args.processes, args.process_id)
+        except (ValueError, RuntimeError) as error:
+            remedy = "use srun, mpirun or Kubernetes, or name --coordinator, --processes and --process-id"
+            raise InputError(f"--distributed: {error}; {remedy}") from None

@@ -19,14 +19,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from pedjax.lanes import (
+    add,
     cholesky,
-    dot,
     eye,
     forward_substitution,
     matmul,
     matmul_t,
     symmetric,
-    t_matmul,
     transpose,
 )
 from pedjax.rotations import skew
@@ -162,7 +161,7 @@ def _through(H: dict[str, Array | None], P: Covariance, state: str) -> Array:
         block(P, row, state) if matrix is None else matmul(matrix, block(P, row, state))
         for row, matrix in H.items()
     ]
-    return sum(parts[1:], parts[0])
+    return add(parts)
 
 
 def update(P: Covariance, rows: Rows, weight: Array) -> tuple[Covariance, dict[str, Array]]:
@@ -180,8 +179,12 @@ def update(P: Covariance, rows: Rows, weight: Array) -> tuple[Covariance, dict[s
     lower = cholesky(weight * HPH + rows.noise)
     z = forward_substitution(lower, rows.innovation)
     Y = {s: forward_substitution(lower, HP[s]) for s in STATES}
-    correction = {s: weight * dot(Y[s], z[:, None]) for s in STATES}
-    return {a + b: P[a + b] - weight * t_matmul(Y[a], Y[b]) for a, b in PAIRS}, correction
+    correction = {s: weight * add(y * e for y, e in zip(Y[s], z, strict=True)) for s in STATES}
+
+    def removed(a: str, b: str) -> Array:
+        return add(x[:, None] * y[None] for x, y in zip(Y[a], Y[b], strict=True))
+
+    return {a + b: P[a + b] - weight * removed(a, b) for a, b in PAIRS}, correction
 
 
 def normalised_innovation(P: Covariance, rows: Rows) -> Array:
@@ -191,4 +194,4 @@ def normalised_innovation(P: Covariance, rows: Rows) -> Array:
         HP = _through(rows.H, P, s)
         HPH = HPH + (HP if matrix is None else matmul_t(HP, matrix))
     z = forward_substitution(cholesky(HPH), rows.innovation)
-    return dot(z, z)
+    return add(e * e for e in z)

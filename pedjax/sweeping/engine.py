@@ -1,35 +1,65 @@
-"""Parameter sets side by side in lanes, a block at a time."""
+"""Parameter sets side by side in lanes, blocks of them on every device, scores only."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
 
 from pedjax import parameters
+from pedjax.ensemble import LOSSES, Problem, scores, walks_for
 from pedjax.errors import InputError, suggest
 from pedjax.evaluation.landmarks import ALIGNMENTS
-from pedjax.packing import pack
+from pedjax.packing import Batch, Walk, chunk_of, columns_of, distinct, pack, padded, sizes_of
 from pedjax.recording import Clock, Recording
-from pedjax.system import System
+from pedjax.runtime import lane_count
+from pedjax.sweeping.designs import Design, with_settings
 from pedjax.systems import system as find_system
-from pedjax.tuning.loop import walks_for
-from pedjax.tuning.objective import LOSSES, Problem, losses
 
-_LANES = 64
-"""Lanes in a block: more fall out of the cache, fewer leave vector units idle."""
+SCORES = {
+    "armse_m": "pyshoe_armse",
+    "rms_2d_m": "rms_2d",
+    "mean_2d_m": "mean_2d",
+    "max_2d_m": "max_2d",
+    "final_2d_m": "final_2d",
+    "rms_3d_m": "rms_3d",
+}
+"""Columns of a sweep's table, and what they are among the errors."""
+
+_SAMPLES_AT_ONCE = 8_000_000
+"""Samples of recordings on a device at a time (half a GiB): more are swept in parts, one after the other."""
+
+_STEPS_IN_A_PART = 50_000_000
+"""Filter steps computed between two looks at the clock, at the keyboard and at the disk: about a second."""
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """`values` of each path `(N,)`; `loss (N, R)` m of each set on each recording, inf where it diverged."""
+    """`values` of each path and `settings` `(N,)`; `scores[column] (N, R)` in m of each set on each
+    recording `names`, NaN where it diverged; `healthy` and `stance (N, R)`; `loss` names what `mean` and
+    `best` go by."""
 
     names: tuple[str, ...]
     values: dict[str, np.ndarray]
-    loss: np.ndarray
+    settings: dict[str, list[Any]]
+    scores: dict[str, np.ndarray]
+    healthy: np.ndarray
+    stance: np.ndarray
+    chosen: str
+
+    @property
+    def loss(self) -> np.ndarray:
+        """The chosen loss `(N, R)` in m, inf where a run diverged."""
+        found = self.scores[f"{self.chosen}_m"]
+        return np.where(np.isfinite(found), found, np.inf)
 
     @property
     def mean(self) -> np.ndarray:
@@ -42,41 +72,219 @@ class Sweep:
         return int(np.argmin(self.mean))
 
 
-def sweep(
+@dataclass(frozen=True)
+class Job:
+    """Everything that a sweep's parts have in common: recordings ready for the filter, parameters around
+    which sets vary, and how they are scored."""
+
+    problem: Problem
+    params: Any
+    walks: tuple[Walk, ...]
+    dtype: Any
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Recordings, each name once."""
+        return tuple(distinct([w.name for w in self.walks]))
+
+    @property
+    def samples(self) -> int:
+        """Samples of all recordings: filter steps of one parameter set."""
+        return sum(len(w.imu.time) for w in self.walks)
+
+    @property
+    def part(self) -> int:
+        """Parameter sets in a part: a matter of the recordings alone, so that every machine and any number
+        of devices cut the same sweep into the same parts."""
+        sets = max(_STEPS_IN_A_PART // self.samples, 1)
+        return sets if sets < 64 else sets // 64 * 64
+
+
+def job(
     recordings: Sequence[Recording],
-    values: Mapping[str, np.ndarray],
-    system: str | System = "iez",
+    system: Any = "iez",
     params: Any = None,
     *,
     loss: str = "armse",
     alignment: str = "yaw_translation",
     sensor: str = "foot",
     clock: Clock | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Sweep:
-    """Run every parameter set `values[path] (N,)` over every recording and keep the losses only."""
+) -> Job:
+    """Check everything and make recordings ready, before anything compiles."""
     chosen = find_system(system)
     params = chosen.defaults() if params is None else params
     for what, word, known in (("loss", loss, tuple(LOSSES)), ("alignment", alignment, ALIGNMENTS)):
         if word not in known:
             raise InputError(f"{what} '{word}' is unknown{suggest(word, known)}")
+    walks = walks_for(chosen, params, recordings, sensor, clock, loss)
+    return Job(Problem(chosen, loss, alignment), params, tuple(walks), jnp.result_type(float))
+
+
+def parts_of(design: Design, size: int) -> list[tuple[int, int]]:
+    """Stretches of at most `size` sets, none of which crosses a change of settings."""
+    return [
+        (first, min(first + size, stop))
+        for _, start, stop in design.groups()
+        for first in range(start, stop, size)
+    ]
+
+
+class Engine:
+    """Runs parameter sets of one job on all local devices; keeps what it packed and compiled.
+
+    `run(settings, values)` takes values `(n,)` of each path and gives columns `(n, R)`; n up to `capacity`
+    shares one program.
+    """
+
+    def __init__(self, job: Job, capacity: int, devices: Sequence[jax.Device] | None = None) -> None:
+        self.job = job
+        self.devices = list(devices or jax.local_devices())
+        self.sets, self.columns = _shape_of_block(job, capacity)
+        self.blocks = -(-capacity // (self.sets * len(self.devices)))
+        self._packed: dict[tuple[Any, ...], list[tuple[Any, list[Batch]]]] = {}
+
+    def run(self, settings: Mapping[str, Any], values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Columns `SCORES`, `healthy` and `stance_fraction`, each `(n, R)`; scores NaN where unhealthy."""
+        packed = self._ready(settings)
+        count = len(next(iter(values.values())))
+        shares = np.array_split(np.arange(-(-count // self.sets)), len(self.devices))
+
+        def on(device: int) -> list[dict[str, np.ndarray]]:
+            """Blocks of one device; lanes and blocks to spare repeat the last set."""
+            params, batches = packed[device]
+            first, used = shares[device][0], len(shares[device])
+            index = (first + np.arange(self.blocks))[:, None] * self.sets + np.arange(self.sets)
+            index = np.minimum(index, count - 1)
+            laid = {path: np.asarray(v, self.job.dtype)[index] for path, v in values.items()}
+            laid = jax.device_put(laid, self.devices[device])
+            found = [_blocks(self.job.problem, params, laid, used, batch) for batch in batches]
+            return [{k: np.asarray(v)[:used] for k, v in piece.items()} for piece in found]
+
+        def in_precision(device: int) -> list[dict[str, np.ndarray]]:
+            with jax.enable_x64(self.job.dtype == jnp.float64):  # the choice is each thread's own
+                return on(device)
+
+        # each device has a thread and a program of its own, the same for one device and for many, so that
+        # a sweep's numbers are the same to the last bit (a program partitioned over devices rounds otherwise)
+        busy = [d for d, share in enumerate(shares) if len(share)]
+        with ThreadPoolExecutor(len(busy)) as pool:
+            pieces = list(pool.map(in_precision, busy))
+        found = {}
+        for name in pieces[0][0]:
+            whole = np.concatenate([np.concatenate([p[name] for p in piece], axis=-1) for piece in pieces])
+            found[name] = whole.reshape(-1, whole.shape[-1])[:count]
+        return found
+
+    def _ready(self, settings: Mapping[str, Any]) -> list[tuple[Any, list[Batch]]]:
+        """Parameters and packed recordings for those settings, on each device."""
+        key = tuple(settings.items())
+        if key not in self._packed:
+            self._packed.clear()  # settings come in stretches: one at a time is all that is needed
+            params = parameters.cast(parameters.replace(self.job.params, settings), self.job.dtype)
+            batches = [
+                pack(self.job.problem.system, params, walks, self.job.dtype, most_columns=self.columns)
+                for walks in _shares(self.job.walks)
+            ]
+            self._packed[key] = [jax.device_put((params, batches), d) for d in self.devices]
+        return self._packed[key]
+
+
+@partial(jax.jit, static_argnames="problem")
+def _blocks(
+    problem: Problem, params: Any, values: dict[str, Array], used: ArrayLike, batch: Batch
+) -> dict[str, Array]:
+    """Columns `(B, S, R)` of blocks of sets `(B, S)`, one after the other, the first `used` of them."""
+
+    def columns(block: dict[str, Array]) -> dict[str, Array]:
+        found = scores(problem, params, block, batch)
+        table = {
+            name: jnp.where(found.healthy, getattr(found.errors, error), jnp.nan)
+            for name, error in SCORES.items()
+        }
+        return {**table, "healthy": found.healthy, "stance_fraction": found.stance}
+
+    def one(i: Array, whole: dict[str, Array]) -> dict[str, Array]:
+        found = columns(jax.tree.map(lambda x: x[i], values))
+        return jax.tree.map(lambda x, y: x.at[i].set(y), whole, found)
+
+    blocks = next(iter(values.values())).shape[0]
+    like = jax.eval_shape(columns, jax.tree.map(lambda x: x[0], values))
+    empty = jax.tree.map(lambda x: jnp.zeros((blocks, *x.shape), x.dtype), like)
+    return jax.lax.fori_loop(0, used, one, empty)
+
+
+def _shape_of_block(job: Job, count: int) -> tuple[int, int]:
+    """How many sets and how many columns of recordings share the lanes of a block, so that few are idle."""
+    lanes = lane_count(job.dtype)
+    sizes = sizes_of(job.walks, chunk_of(job.walks))
+    best, fewest = (lanes, 1), float("inf")
+    sets = lanes
+    while sets >= 1:
+        columns = columns_of(sizes, lanes // sets)
+        cost = -(-count // sets) * lanes * padded(sizes, columns) / len(columns)
+        if cost < 0.98 * fewest:
+            best, fewest = (sets, len(columns)), cost
+        sets //= 2
+    return best
+
+
+def _shares(walks: Sequence[Walk]) -> list[list[Walk]]:
+    """Recordings in order, in parts that fit into memory at once."""
+    shares: list[list[Walk]] = [[]]
+    filled = 0
+    for w in walks:
+        if shares[-1] and filled + len(w.imu.time) > _SAMPLES_AT_ONCE:
+            shares.append([])
+            filled = 0
+        shares[-1].append(w)
+        filled += len(w.imu.time)
+    return shares
+
+
+def sweep(
+    recordings: Sequence[Recording],
+    values: Mapping[str, np.ndarray],
+    system: Any = "iez",
+    params: Any = None,
+    *,
+    settings: Mapping[str, Sequence[Any]] | None = None,
+    loss: str = "armse",
+    alignment: str = "yaw_translation",
+    sensor: str = "foot",
+    clock: Clock | None = None,
+    devices: Sequence[jax.Device] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Sweep:
+    """Run every parameter set `values[path] (N,)` over every recording and keep the scores only.
+
+    With `settings` (path to a list of choices) all sets are run for each combination of them. For sweeps that
+    are too long to lose, see `sweeping.store` and the command line.
+    """
     counts = {len(v) for v in values.values()}
     if len(counts) != 1:
         raise InputError(f"every swept parameter needs equally many values, not {sorted(counts)}")
-    count = counts.pop()
-    dtype = jnp.result_type(float)
-    cast = parameters.cast(params, dtype)
-    batch = pack(chosen, cast, walks_for(chosen, params, recordings, sensor, clock, loss), dtype)
-    problem = Problem(chosen, loss, alignment)
-    width = max(_LANES // batch.packed.slot.shape[1], 1)
-    width = min(width, count)
+    work = job(recordings, system, params, loss=loss, alignment=alignment, sensor=sensor, clock=clock)
+    design = with_settings((), values, settings or {})
+    parts = parts_of(design, work.part)
+    engine = Engine(work, max(stop - start for start, stop in parts), devices)
     found = []
-    for start in range(0, count, width):
-        # the last block is filled up with its own last set, so that all blocks have one shape
-        index = np.minimum(np.arange(start, start + width), count - 1)
-        block = {path: jnp.asarray(np.asarray(v)[index], dtype) for path, v in values.items()}
-        each = np.asarray(losses(problem, cast, block, batch))
-        found.append(each[: min(width, count - start)])
+    for start, stop in parts:
+        found.append(engine.run(*slice_of(design, start, stop)))
         if progress is not None:
-            progress(min(start + width, count), count)
-    return Sweep(batch.names, {k: np.asarray(v) for k, v in values.items()}, np.concatenate(found))
+            progress(stop, design.count)
+    whole = {name: np.concatenate([f[name] for f in found]) for name in found[0]}
+    return Sweep(
+        names=work.names,
+        values=design.values,
+        settings=design.settings,
+        scores={name: whole[name] for name in SCORES},
+        healthy=whole["healthy"],
+        stance=whole["stance_fraction"],
+        chosen=loss,
+    )
+
+
+def slice_of(design: Design, start: int, stop: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Settings and values of the sets of one part."""
+    settings = {path: column[start] for path, column in design.settings.items()}
+    return settings, {path: v[start:stop] for path, v in design.values.items()}

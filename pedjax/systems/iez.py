@@ -220,4 +220,23 @@ def defaults() -> IezParameters:
     return IezParameters()
 
 
-IEZ = System("iez", "INS-EKF-ZUPT", defaults, prepare, start, step)
+ADAPTIVE = ("gate.follow", "gate.follow_time", "gate.growth", "gate.floor")
+"""The coefficients of the adaptive gate: without it they have no effect."""
+
+
+def tunable(p: IezParameters) -> tuple[str, ...]:
+    """Thresholds of the detector that is on, the noises that matter most, and the adaptive gate's numbers."""
+    thresholds = {"eps": ("stance.eps.energy", "stance.eps.rate_energy")}
+    return (
+        *thresholds.get(p.stance.detector, (f"stance.{p.stance.detector}.threshold",)),
+        "updates.zero_velocity",
+        "process.accelerometer",
+        "process.gyroscope",
+        "initial.accelerometer_bias",
+        "initial.gyroscope_bias",
+        "initial.attitude",
+        *(ADAPTIVE if p.gate.kind == "adaptive" else ()),
+    )
+
+
+IEZ = System("iez", "INS-EKF-ZUPT", defaults, tunable, prepare, start, step)

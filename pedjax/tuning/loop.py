@@ -14,17 +14,17 @@ import optax
 
 from pedjax import parameters
 from pedjax.detectors.stance import DETECTORS
+from pedjax.ensemble import LOSSES, Problem, losses, walks_for
 from pedjax.errors import InputError
 from pedjax.evaluation.landmarks import ALIGNMENTS
-from pedjax.packing import Batch, Walk, pack, walk
+from pedjax.packing import Batch, Walk, distinct, pack
 from pedjax.parameters import Spec
 from pedjax.recording import Clock, Recording
-from pedjax.running import check_length
 from pedjax.runtime import double_precision
 from pedjax.system import System
 from pedjax.systems import system as find_system
+from pedjax.systems.iez import ADAPTIVE
 from pedjax.tuning import objective
-from pedjax.tuning.objective import LOSSES, Problem
 from pedjax.tuning.split import fingerprint, refuse_overlap
 
 Progress = Callable[[int, int, float], None]
@@ -112,8 +112,10 @@ def tune(
         search = _Search(problem, settings, specs, hard, walks, training, validation)
         best = search.run(progress)
         tuned = parameters.with_leaves(params, best)
-        held = pack(chosen, hard, others) if others else None
-        report = partial(_report, problem, settings.names, everything, held)
+        parts = {"tuned_on": (distinct([w.name for w in walks]), everything)}
+        if others:
+            parts["held_back"] = (distinct([w.name for w in others]), pack(chosen, hard, others))
+        report = partial(_report, problem, settings.names, parts)
         return Tuned(
             params=tuned,
             names=settings.names,
@@ -125,9 +127,6 @@ def tune(
             fingerprints=prints,
         )
 
-
-ADAPTIVE_NAMES = ("gate.follow", "gate.follow_time", "gate.growth", "gate.floor")
-"""The coefficients of the adaptive gate: without it they have no effect."""
 
 _LIMITS = (
     ("iterations", 1, 1e6), ("starts", 1, 1e4), ("check_every", 1, 1e6), ("spread", 0, 20), ("grid", 0, 1e4),
@@ -149,7 +148,7 @@ def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
         _, group, *_ = [*name.split("."), ""]
         if group in DETECTORS and group != params.stance.detector:
             raise InputError(f"'{name}' has no effect: stance.detector is '{params.stance.detector}'")
-        if name in ADAPTIVE_NAMES and params.gate.kind != "adaptive":
+        if name in ADAPTIVE and params.gate.kind != "adaptive":
             raise InputError(f"'{name}' has no effect: gate.kind is '{params.gate.kind}', not 'adaptive'")
     if settings.loss not in LOSSES:
         raise InputError(f"loss '{settings.loss}' is unknown; known are: {', '.join(LOSSES)}")
@@ -162,31 +161,6 @@ def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
         if not isinstance(value, int | float) or not low <= value <= high:
             raise InputError(f"tune.{name} = {value!r} must lie between {low:g} and {high:g}")
     return {name: known[name] for name in settings.names}
-
-
-def walks_for(
-    system: System,
-    params: Any,
-    recordings: Sequence[Recording],
-    sensor: str,
-    clock: Clock | None,
-    loss: str,
-) -> list[Walk]:
-    """Recordings ready for a filter, refused where they are too short or have nothing to score."""
-    walks = []
-    for recording in recordings:
-        found = walk(recording, sensor, clock)
-        check_length(system, params, found)
-        needed = 3 if loss == "rms_3d" else 2
-        count = int(np.isfinite(found.position[:, :needed]).all(axis=1).sum())
-        if count < 2:
-            axes = "x, y and z" if needed == 3 else "x and y"
-            raise InputError(
-                f"{recording.name}: loss '{loss}' needs at least two landmarks (or dense truth) "
-                f"with known {axes}; it has {count}"
-            )
-        walks.append(found)
-    return walks
 
 
 def _part(count: int, settings: TuneSettings) -> tuple[list[int], list[int]]:
@@ -223,7 +197,7 @@ class _Search:
     def hard_loss(self, values: Mapping[str, Any], batch: Batch) -> np.ndarray:
         """Hard-gate mean loss `(S,)` of parameter sets."""
         sets = {k: jnp.asarray(v, float) for k, v in values.items()}
-        each = objective.losses(self.problem, self.params, sets, batch)
+        each = losses(self.problem, self.params, sets, batch)
         return np.asarray(jnp.mean(each, axis=-1))
 
     def starts(self) -> dict[str, np.ndarray]:
@@ -320,14 +294,13 @@ def _clip_each(limit: float) -> optax.GradientTransformation:
 
 
 def _report(
-    problem: Problem, names: tuple[str, ...], tuned_on: Batch, held: Batch | None, params: Any
+    problem: Problem, names: tuple[str, ...], parts: Mapping[str, tuple[list[str], Batch]], params: Any
 ) -> dict[str, dict[str, float]]:
     """Hard-gate loss of every recording."""
     hard = parameters.cast(parameters.replace(params, {"gate.width": 0.0}), float)
     values = {n: jnp.asarray([parameters.get(params, n)], float) for n in names}
     report = {}
-    for key, batch in (("tuned_on", tuned_on), ("held_back", held)):
-        if batch is not None:
-            each = objective.losses(problem, hard, values, batch)[0]
-            report[key] = {name: float(x) for name, x in zip(batch.names, np.asarray(each), strict=True)}
+    for part, (labels, batch) in parts.items():
+        each = np.asarray(losses(problem, hard, values, batch)[0])
+        report[part] = {label: float(x) for label, x in zip(labels, each, strict=True)}
     return report

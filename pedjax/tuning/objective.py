@@ -1,40 +1,17 @@
-"""The loss of many parameter sets over many recordings at once, soft for gradients and hard for selection."""
+"""The mean loss of many starts over many recordings, and its gradient by unconstrained numbers."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from pedjax import parameters
-from pedjax.evaluation.landmarks import landmark_errors
-from pedjax.filtering import scan_points
+from pedjax.ensemble import Problem, losses
 from pedjax.packing import Batch
-from pedjax.system import System
-
-LOSSES = {"armse": "pyshoe_armse", "rms_2d": "rms_2d", "mean_2d": "mean_2d", "rms_3d": "rms_3d"}
-"""Each is averaged over recordings."""
-
-
-class Problem(NamedTuple):
-    """What a loss is made of: static parts of one tuning."""
-
-    system: System
-    loss: str
-    alignment: str
-
-
-@partial(jax.jit, static_argnames="problem")
-def losses(problem: Problem, params: Any, values: dict[str, Array], batch: Batch) -> Array:
-    """Loss of each recording for parameter sets `values[path] (S,)`: `(S, R)` in m, inf where unhealthy."""
-    lanes = {path: value[..., None] for path, value in values.items()}
-    points = scan_points(problem.system, parameters.with_leaves(params, lanes), batch.packed, batch.slots)
-    errors = landmark_errors(batch.estimates(points), batch.reference, problem.alignment)
-    loss = getattr(errors, LOSSES[problem.loss])
-    return jnp.where(batch.healthy(points) & jnp.isfinite(loss), loss, jnp.inf)
 
 
 def _mean_loss(problem: Problem, params: Any, free: dict[str, Array], batch: Batch) -> Array:

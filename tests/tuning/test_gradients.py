@@ -8,10 +8,10 @@ import pytest
 
 from pedjax import parameters
 from pedjax.detectors.stance import DETECTORS
+from pedjax.ensemble import Problem, losses
 from pedjax.packing import pack, walk
 from pedjax.systems import SYSTEMS
 from pedjax.tuning import objective
-from pedjax.tuning.objective import Problem
 from tests import tools
 from tests.reference.walk import walk as make_walk
 
@@ -96,7 +96,7 @@ class Loss:
     def at_free(self, free):
         """Losses `(S,)` of free numbers `(S,)`."""
         values = {n: self.specs[n].from_free(x) for n, x in free.items()}
-        return np.asarray(objective.losses(self.problem, self.cast, values, self.batch))[:, 0]
+        return np.asarray(losses(self.problem, self.cast, values, self.batch))[:, 0]
 
     def differences(self, first_step=FIRST_STEP):
         """Slope of each leaf by Ridders' extrapolation of central differences, and its own error estimate."""
