@@ -1,0 +1,1 @@
+"""Speed figures and their ratios, all from one run on one machine."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 
 from pedjax.errors import InputError
@@ -15,8 +16,9 @@ def is_demo(name: str) -> bool:
     return name == "demo" or name.startswith("demo:")
 
 
-def read_any(name: str, config: str | None = None, sensor: str | None = None) -> Recording:
+def read_any(name: str | os.PathLike[str], config: str | None = None, sensor: str | None = None) -> Recording:
     """A file, or `demo` / `demo:SEED`."""
+    name = os.fspath(name)
     if is_demo(name):
         seed = name.removeprefix("demo").removeprefix(":") or "0"
         if not seed.isdigit():
@@ -25,6 +27,8 @@ def read_any(name: str, config: str | None = None, sensor: str | None = None) ->
     return read(name, config=config, sensor=sensor)
 
 
-def read_all(names: Sequence[str], config: str | None = None, sensor: str | None = None) -> list[Recording]:
+def read_all(
+    names: Sequence[str | os.PathLike[str]], config: str | None = None, sensor: str | None = None
+) -> list[Recording]:
     """All of them, in order."""
     return [read_any(name, config, sensor) for name in names]

@@ -1,0 +1,64 @@
+"""What is measured: signals, packed recordings, a clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pedjax import parameters
+from pedjax.filtering import Packed
+from pedjax.packing import Walk
+from pedjax.recording import Inertial
+from pedjax.systems.iez import IEZ
+
+RATE = 200.0
+
+
+def best_of(work: Callable[[], Any], repeats: int = 3, wall: bool = False) -> float:
+    """Least processor time (or wall time) of a few runs, after one that compiles."""
+    clock = time.perf_counter if wall else time.process_time
+    jax.block_until_ready(work())
+    times = []
+    for _ in range(repeats):
+        start = clock()
+        jax.block_until_ready(work())
+        times.append(clock() - start)
+    return min(times)
+
+
+def signals(length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Noise about rest for half of each second, motion for the other."""
+    rng = np.random.default_rng(0)
+    still = (np.arange(length) % 200 < 90)[:, None]
+    force = rng.normal(size=(length, 3)) * np.where(still, 0.02, 2.0) + [0, 0, 9.8]
+    rate = rng.normal(size=(length, 3)) * np.where(still, 0.01, 1.0)
+    return force, rate, np.full(length, 1 / RATE)
+
+
+def walk(length: int) -> Walk:
+    """The signals as a walk with a landmark every five seconds."""
+    force, rate, dt = signals(length)
+    index = np.arange(0, length, int(5 * RATE))
+    place = np.stack([0.01 * index, np.zeros(len(index)), np.zeros(len(index))], axis=1)
+    return Walk("benchmark", Inertial(np.cumsum(dt), dt, force, rate), index, place)
+
+
+def packed(length: int, dtype: Any) -> tuple[Any, Packed]:
+    """Parameters and one recording in one column, scored every 1000 samples."""
+    params = parameters.cast(IEZ.defaults(), dtype)
+    chunk = 1 << round(np.log2(length) / 2)
+    length = length // chunk * chunk
+    given = [jnp.asarray(x, dtype) for x in signals(length)]
+    inputs = jax.jit(lambda f, r, d: IEZ.prepare(params, f, r, d, RATE))(*given)
+    slot = np.full((length, 1), -1)
+    slot[::1000] = 0
+    begin = np.zeros((length // chunk, 1), bool)
+    begin[0] = True
+    lanes = jax.tree.map(lambda x: x[..., None], inputs)
+    opening = jax.tree.map(lambda x: jnp.broadcast_to(x, (length // chunk, *x.shape)), lanes.opening)
+    return params, Packed(lanes.samples, opening, jnp.asarray(begin), jnp.asarray(slot))
