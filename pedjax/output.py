@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -43,7 +44,8 @@ def atomic(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
             Path(temporary).unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+        remedy = "; free some space and repeat the command" if error.errno == errno.ENOSPC else ""
+        raise InputError(f"{path}: cannot be written ({error.strerror}){remedy}") from None
 
 
 def plain(value: Any) -> Any:

@@ -16,18 +16,24 @@ import jax.numpy as jnp
 
 from pedjax.errors import InputError
 
-_FAST_CPU = (
-    "--xla_cpu_use_fusion_emitters=false",
-    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=10000000000000",
-    "--xla_cpu_experimental_ynn_fusion_type=",
-)
-"""Compile a scanned filter as one loop instead of dispatching every small kernel of its body: four to
-twenty times faster. Known to jaxlib 0.10; an unknown option would abort the process, hence the check."""
+_WHOLE_LOOP = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=10000000000000"
+"""Compile a scanned filter as one loop instead of dispatching every small kernel of its body."""
+
+_NO_CUSTOM_DOT = "--xla_cpu_experimental_ynn_fusion_type="
+"""A small product handed to a library would keep its loop from that."""
+
+_PLAIN_FUSION = "--xla_cpu_use_fusion_emitters=false"
+"""So would the fusion kernels of jaxlib 0.10, which later ones have no choice about."""
+
+_FAST_CPU = {
+    (0, 10): (_PLAIN_FUSION, _WHOLE_LOOP, _NO_CUSTOM_DOT),
+    (0, 11): (_WHOLE_LOOP, _NO_CUSTOM_DOT),
+    (0, 12): (_WHOLE_LOOP, _NO_CUSTOM_DOT),
+}
+"""By version of jaxlib: two to twenty times faster. An unknown option would abort the process."""
 
 _WIDE_CPU = "--xla_cpu_prefer_vector_width=512"
 """Use the whole vector registers where the processor has wide ones: twice the speed in lanes."""
-
-_KNOWN_JAXLIB = ((0, 10),)
 
 PRECISIONS = ("float32", "float64")
 
@@ -76,20 +82,20 @@ def configure(
 
 def _fast_options(notes: list[str]) -> bool:
     """Put the fast options into XLA_FLAGS; whether they are in force."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    wanted = [*_FAST_CPU, *([_WIDE_CPU] if _has_wide_vectors() else [])]
-    missing = [option for option in wanted if option.split("=")[0] not in flags]
-    if not missing:
-        return True
     import jaxlib
 
     version = tuple(int(part) for part in jaxlib.__version__.split(".")[:2])
-    if version not in _KNOWN_JAXLIB:
+    if version not in _FAST_CPU:
         notes.append(
             f"fast compilation options are not known for jaxlib {jaxlib.__version__}; filters run without "
-            "them, several times slower"
+            "them, perhaps several times slower"
         )
         return False
+    flags = os.environ.get("XLA_FLAGS", "")
+    wanted = [*_FAST_CPU[version], *([_WIDE_CPU] if _has_wide_vectors() else [])]
+    missing = [option for option in wanted if option.split("=")[0] not in flags]
+    if not missing:
+        return True
     if _started():
         notes.append(
             "JAX has already started: call pedjax.configure() before using it, or filters run several "
@@ -162,9 +168,10 @@ def lane_count(dtype: jnp.dtype, platform_name: str | None = None) -> int:
     where = platform_name or jax.default_backend()
     if where != "cpu":
         return 8192
-    if _FAST_CPU[0] not in os.environ.get("XLA_FLAGS", ""):
+    flags = os.environ.get("XLA_FLAGS", "")
+    if _WHOLE_LOOP not in flags:
         return 64
-    register = 64 if _has_wide_vectors() else 32
+    register = 64 if _WIDE_CPU in flags else 32
     return register // jnp.dtype(dtype).itemsize
 
 

@@ -75,6 +75,7 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("--process-id", type=int, metavar="I", help="number of this one, from 0")
     report = commands.add_parser("sweep-report", help="what a sweep's results say")
     report.add_argument("folder", metavar="DIR", help="the --out of a sweep")
+    report.add_argument("--out", metavar="OTHER", help="where to write the report (default: DIR)")
     report.add_argument("--score", metavar="COLUMN", help="what to go by (default: the sweep's loss)")
     report.add_argument("--no-figures", action="store_true", help="draw nothing")
     for command in (sweep, report):

@@ -57,7 +57,7 @@ def sweep(args: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             say(f"interrupted; what is done is kept in {store.path}: the same command goes on from there")
             return 130
-        _report(store, config, args, work)
+        _report(store, store.path, config, args, work)
     return 0
 
 
@@ -66,9 +66,9 @@ def sweep_report(args: argparse.Namespace) -> int:
     place = Path(args.folder)
     store, _ = keep.read_store(place)
     config = load(place / "config.toml") if (place / "config.toml").exists() else None
-    folder(place)
+    out = folder(args.out or place)
     work = _readable(store, config) if config is not None and args.gradient else None
-    _report(store, config, args, work)
+    _report(store, out, config, args, work)
     return 0
 
 
@@ -133,15 +133,17 @@ class _progress:
             self.bar.close()
 
 
-def _report(store: Store, config: Config | None, args: argparse.Namespace, work: Job | None) -> None:
-    """Analyse the table, write all that is known of it, and say the most of it."""
+def _report(
+    store: Store, place: Path, config: Config | None, args: argparse.Namespace, work: Job | None
+) -> None:
+    """Analyse the table, write all that is known of it into a folder, and say the most of it."""
     _, columns = keep.read_store(store.path)
     first = keep.read_design(store, 0)
     if first is None:
         raise InputError(f"{store.path}: the design is missing; run the sweep again")
     score = getattr(args, "score", None) or f"{store.manifest['loss']}_m"
     found = analyse(columns, first.axes, store.manifest["settings"], score=score, second=args.against)
-    out = folder(store.path / "report")
+    out = folder(place / "report")
     for name, table in report_tables(found).items():
         write_table(out / f"{name}.csv", table)
     say(*describe(found))
@@ -155,7 +157,7 @@ def _report(store: Store, config: Config | None, args: argparse.Namespace, work:
         heading = (
             f"best of {len(found.runs.run)} parameter sets by {score}, chosen on {len(prints)} recordings"
         )
-        write_parameters(store.path / "best.toml", replace(config, sweep={}), at_best, prints, heading)
+        write_parameters(place / "best.toml", replace(config, sweep={}), at_best, prints, heading)
         if work is not None and args.gradient:
             _slopes(work, at_best, first.axes, found, out)
     if not args.no_figures and (config is None or config.figures):
@@ -168,7 +170,7 @@ def _report(store: Store, config: Config | None, args: argparse.Namespace, work:
                 continue
             write_figure(out / f"{name}.png", draw(found))
     write_json(
-        store.path / "metrics.json",
+        place / "metrics.json",
         {
             "pedjax_version": __version__, "sweep": store.identity, "score": score, "best": best,
             "best_run": int(found.runs.run[found.best[0]]),
@@ -177,7 +179,7 @@ def _report(store: Store, config: Config | None, args: argparse.Namespace, work:
             "diverged": int(found.runs.diverged.sum()),
         },
     )  # fmt: skip
-    say(f"table in {store.table}, best parameters in {store.path / 'best.toml'}, report in {out}")
+    say(f"table in {store.table}, best parameters in {place / 'best.toml'}, report in {out}")
 
 
 def _plain(value: Any) -> Any:
