@@ -13,7 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 from pedjax import __version__, parameters, plots
-from pedjax.cli import sweeps
+from pedjax.cli import simulate, sweeps
 from pedjax.cli.common import configured, say, write_parameters
 from pedjax.config import Config, load, override, resolve, resolved, tune_settings
 from pedjax.detectors.stance import DETECTORS
@@ -344,6 +344,7 @@ COMMANDS = {
     "info": info,
     "run": run,
     "tune": tune,
+    "simulate": simulate.run,
     "sweep": sweeps.sweep,
     "sweep-report": sweeps.sweep_report,
     "roc": roc,

@@ -91,6 +91,14 @@ def _parser() -> argparse.ArgumentParser:
     roc.add_argument(
         "--still-below", type=float, default=0.1, metavar="M/S", help="speed below which the foot is still"
     )
+    simulate = commands.add_parser("simulate", help="walk a scenario: sensors with errors, exact truth")
+    simulate.add_argument("scenario", nargs="?", metavar="SCENARIO", help="its name, or a TOML file")
+    simulate.add_argument("--list", action="store_true", help="the scenarios that come with the package")
+    simulate.add_argument("--seed", type=int, default=0, help="of gait, sensors and building (default: 0)")
+    simulate.add_argument(
+        "--out", metavar="FILE", help="a csv or csv.gz file (default: SCENARIO-SEED.csv.gz)"
+    )
+    simulate.add_argument("--no-figures", action="store_true", help="draw nothing")
     commands.add_parser("parameters", parents=[system], help="list the parameters of a system")
     return parser
 

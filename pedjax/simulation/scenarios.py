@@ -1,0 +1,133 @@
+"""A scenario: a walk, a world and its sensors, from a few lines of TOML."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pedjax.errors import InputError, suggest
+from pedjax.simulation.footsteps import Leg
+from pedjax.simulation.motion import MOUNTINGS
+from pedjax.simulation.presets import presets
+
+FIELDS: dict[str, tuple[str, ...]] = {
+    "none": (),
+    "north_pole": (),
+    "equator": (),
+    "munich": (),
+    "earth": ("latitude", "longitude", "height", "date"),
+    "building": ("style", "strength"),
+    "street": ("tiles", "first", "mode"),
+    "floor_magnet": ("place", "depth", "moment"),
+}
+"""Kinds of magnetic field, and what each takes beside."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What `simulate` makes a recording of.
+
+    `legs` are walked one after the other, all of them `rounds` times, with `standing_s` s of rest before and
+    after; `sensors` maps where a sensor is (foot, left_foot, waist, pocket) to the name of its preset;
+    `field` has a `kind` and what that takes; `iron` the `hard` (3) and `soft` (3 x 3) iron of every
+    magnetometer; `landmarks` are places (x, y) in m that are surveyed where the walker passes them;
+    `calibrated` the part of each turn-on bias that a calibration at rest has taken away before the walk;
+    `survey_m` the spacing of a magnetic survey over the whole site (0: none).
+    """
+
+    name: str
+    title: str = ""
+    rate_hz: float = 100.0
+    standing_s: float = 3.0
+    rounds: int = 1
+    legs: tuple[Leg, ...] = ()
+    sensors: Mapping[str, str] = dataclasses.field(default_factory=lambda: {"foot": "xsens_mtw"})
+    field: Mapping[str, Any] = dataclasses.field(default_factory=lambda: {"kind": "munich"})
+    iron: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    landmarks: tuple[tuple[float, float], ...] = ()
+    calibrated: float = 0.95
+    survey_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+
+def scenarios() -> dict[str, Path]:
+    """Scenarios that come with the package, by name."""
+    package = Path(__file__).parents[1]
+    homes = (package / "configs" / "scenarios", package.parent / "configs" / "scenarios")
+    return {path.stem: path for home in homes for path in sorted(home.glob("*.toml"))}
+
+
+def load_scenario(name: str | Path) -> Scenario:
+    """One that comes with the package, by name, or a TOML file."""
+    known = scenarios()
+    path = known.get(str(name), Path(name))
+    try:
+        raw = tomllib.loads(path.read_text())
+    except FileNotFoundError:
+        raise InputError(f"there is no scenario '{name}'{suggest(str(name), known)}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: is not valid TOML: {error}") from None
+    legs = raw.pop("legs", [])
+    if not isinstance(legs, list) or not all(isinstance(leg, dict) for leg in legs):
+        raise InputError(f"{path}: legs must be tables, [[legs]]")
+    made = tuple(_made(Leg, leg, f"{path}: leg {n}") for n, leg in enumerate(legs, 1))
+    return _made(Scenario, {"name": path.stem, **raw, "legs": made}, str(path))
+
+
+def _made(cls: Any, given: Mapping[str, Any], where: str) -> Any:
+    """A dataclass from a table, each key known and of its kind."""
+    known = {f.name: f for f in dataclasses.fields(cls)}
+    clean = {}
+    for key, value in given.items():
+        if key not in known:
+            raise InputError(f"{where}: key '{key}' is unknown{suggest(key, known)}")
+        default = known[key].default
+        number = isinstance(default, int | float) and not isinstance(default, bool)
+        if (number or key == "speed") and (isinstance(value, bool) or not isinstance(value, int | float)):
+            raise InputError(f"{where}: {key} = {value!r} must be a number")
+        if isinstance(default, str | bool) and not isinstance(value, type(default)):
+            raise InputError(f"{where}: {key} = {value!r} must be of the kind of {default!r}")
+        if isinstance(value, list):
+            value = tuple(tuple(x) if isinstance(x, list) else x for x in value)
+        clean[key] = value
+    return cls(**clean)
+
+
+def _check(scenario: Scenario) -> None:
+    where = f"scenario '{scenario.name}'"
+    if not 10 <= scenario.rate_hz <= 2000:
+        raise InputError(f"{where}: rate_hz = {scenario.rate_hz:g} must lie between 10 and 2000")
+    if not 0 <= scenario.standing_s <= 3600:
+        raise InputError(f"{where}: standing_s = {scenario.standing_s:g} must lie between 0 and 3600")
+    if not 0 <= scenario.calibrated <= 1:
+        raise InputError(f"{where}: calibrated = {scenario.calibrated:g} must lie between 0 and 1")
+    if scenario.rounds < 1 or scenario.rounds != int(scenario.rounds):
+        raise InputError(f"{where}: rounds = {scenario.rounds!r} must be a whole number from 1 on")
+    if not scenario.legs:
+        raise InputError(f"{where}: has no legs; give at least one [[legs]]")
+    if not scenario.sensors:
+        raise InputError(f"{where}: has no sensor; give sensors = {{ foot = 'xsens_mtw' }}")
+    for place, preset in scenario.sensors.items():
+        if place not in MOUNTINGS:
+            raise InputError(f"{where}: no sensor can be carried at '{place}'{suggest(place, MOUNTINGS)}")
+        if preset not in presets():
+            raise InputError(f"{where}: sensor '{preset}' is unknown{suggest(str(preset), presets())}")
+    kind = scenario.field.get("kind")
+    if kind not in FIELDS:
+        raise InputError(f"{where}: field kind {kind!r} is unknown{suggest(str(kind), FIELDS)}")
+    for key in scenario.field:
+        if key != "kind" and key not in FIELDS[kind]:
+            raise InputError(f"{where}: field '{kind}' takes no '{key}'{suggest(key, FIELDS[kind])}")
+    for key in scenario.iron:
+        if key not in ("hard", "soft"):
+            raise InputError(f"{where}: iron.{key} is unknown{suggest(key, ('hard', 'soft'))}")
+    if any(len(mark) != 2 for mark in scenario.landmarks):
+        raise InputError(f"{where}: landmarks must be [x, y] in m")

@@ -1,0 +1,245 @@
+"""A scenario come true: recordings with exact truth at every sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial import KDTree
+
+from pedjax.recording import Landmarks, Recording, Sensor, Stream, Truth
+from pedjax.runtime import double_precision
+from pedjax.simulation import earth, fields, sensors
+from pedjax.simulation.fields import Field
+from pedjax.simulation.footsteps import Plan, footsteps
+from pedjax.simulation.motion import Motion, motion, standing
+from pedjax.simulation.presets import presets
+from pedjax.simulation.scenarios import Scenario, load_scenario
+
+_PASSING = 2.0
+"""m within which a walker passes a landmark."""
+
+
+class SensorTruth(NamedTuple):
+    """What is true of one sensor at each of its samples, before any of its errors: `time (T,)` s, the
+    `motion`, its errors `gyroscope_bias` and `accelerometer_bias (T, 3)`, the `magnetic_field (T, 3)` in
+    microtesla in navigation axes, the `disturbance (T, 3)` that is not the background's, and whether the foot
+    stands, `stance (T,)`."""
+
+    time: np.ndarray
+    motion: Motion
+    gyroscope_bias: np.ndarray
+    accelerometer_bias: np.ndarray
+    magnetic_field: np.ndarray
+    disturbance: np.ndarray
+    stance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A `recording` as a reader would give it, the `truth` of each of its sensors, the `plan` of the walk,
+    the `field` that it went through, and `steps`, `(N,)` s, when feet were put down."""
+
+    scenario: Scenario
+    seed: int
+    recording: Recording
+    truth: dict[str, SensorTruth]
+    plan: Plan
+    field: Field
+    steps: np.ndarray
+
+    def survey(self, height: float = 1.0) -> dict[str, np.ndarray]:
+        """`survey_position`, `survey_field (M, 3)` in m and microtesla on the scenario's grid over the site,
+        at a height in m; nothing where the scenario has no survey."""
+        step = self.scenario.survey_m
+        if not step:
+            return {}
+        low, high = self.plan.route[:, :2].min(axis=0) - 1.0, self.plan.route[:, :2].max(axis=0) + 1.0
+        sides = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
+        grid = np.stack([a.ravel() for a in np.meshgrid(*sides, indexing="ij")], axis=1)
+        place = np.column_stack([grid, np.full(len(grid), height)])
+        mode = str(self.scenario.field.get("mode", "superpose"))
+        with double_precision():
+            found = _field_along(self.field, place, np.zeros(len(place)), mode)
+        return {"survey_position": place, "survey_field": found}
+
+
+def simulate(scenario: str | Scenario, seed: int = 0) -> Simulated:
+    """Walk a scenario: the same bits for the same seed, independent ones for another."""
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario)
+    legs = scenario.legs * int(scenario.rounds)
+    plan = footsteps(legs, seed, scenario.standing_s, f"scenario '{scenario.name}'")
+    mode = str(scenario.field.get("mode", "superpose"))
+    with double_precision():
+        field = field_of(scenario, plan, seed)
+        found = {
+            place: _sensor(scenario, plan, field, mode, place, preset, seed)
+            for place, preset in scenario.sensors.items()
+        }
+    first = next(iter(found))
+    truth = found[first][1]
+    recording = Recording(
+        name=f"{scenario.name}:{seed}",
+        sensors={place: sensor for place, (sensor, _) in found.items()},
+        landmarks=_landmarks(scenario, truth),
+        truth=_path(truth),
+        format="simulated",
+    )
+    lands = np.sort(np.concatenate([plan.walker.left.lands, plan.walker.right.lands]))
+    return Simulated(
+        scenario=scenario,
+        seed=seed,
+        recording=recording,
+        truth={place: each for place, (_, each) in found.items()},
+        plan=plan,
+        field=field,
+        steps=lands[lands < plan.seconds],
+    )
+
+
+def field_of(scenario: Scenario, plan: Plan, seed: int) -> Field:
+    """The magnetic field of a scenario; that of a building is drawn with the seed."""
+    given = dict(scenario.field)
+    kind = given.pop("kind")
+    given.pop("mode", None)
+    munich = earth.homogeneous("munich")
+    if kind == "building":
+        low, high = plan.route[:, :2].min(axis=0) - 4.0, plan.route[:, :2].max(axis=0) + 4.0
+        extent = ((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
+        return _near(fields.building(jax.random.key(seed + 7919), extent, **given), plan.route)
+    if kind == "street":
+        return fields.street_template(**given)
+    if kind == "floor_magnet":
+        return fields.compose(munich, fields.floor_magnet(**given))
+    if kind == "earth":
+        return fields.compose(
+            earth.earth(given["latitude"], given["longitude"], given.get("height", 0.0), given["date"])
+        )
+    return fields.compose(jnp.zeros(3) if kind == "none" else earth.homogeneous(kind))
+
+
+_FELT = 0.016
+"""A/m: the least moment over cubed distance (3 nT) for which a piece of steel is kept."""
+
+
+_BESIDE = 0.45
+"""m: nothing made of steel stands nearer to the walker's line than half a doorway."""
+
+
+def _near(field: Field, route: np.ndarray) -> Field:
+    """The field without the dipoles that are nowhere felt along the route, and without those above the floor
+    that the walker would walk into: still free of divergence and curl, at a fraction of the cost."""
+    place = np.asarray(field.dipoles.position)
+    apart, _ = KDTree(route[:, :2]).query(place[:, :2])
+    size = np.linalg.norm(np.asarray(field.dipoles.moment), axis=1)
+    in_the_way = (apart < _BESIDE) & (place[:, 2] > 0) & (place[:, 2] < 2.2)
+    keep = np.flatnonzero((size >= _FELT * apart**3) & ~in_the_way)
+    return field._replace(dipoles=jax.tree.map(lambda x: x[keep], field.dipoles))
+
+
+def _sensor(
+    scenario: Scenario, plan: Plan, field: Field, mode: str, place: str, preset: str, seed: int
+) -> tuple[Sensor, SensorTruth]:
+    imu = presets()[preset]
+    imu = replace(imu, clock=replace(imu.clock, rate=scenario.rate_hz))
+    left = 1.0 - scenario.calibrated
+    imu = replace(
+        imu,
+        accelerometer=replace(imu.accelerometer, bias_std=left * np.asarray(imu.accelerometer.bias_std)),
+        gyroscope=replace(imu.gyroscope, bias_std=left * np.asarray(imu.gyroscope.bias_std)),
+    )
+    if scenario.iron:
+        hard = np.asarray(scenario.iron.get("hard", np.zeros(3)), float)
+        soft = np.asarray(scenario.iron.get("soft", np.eye(3)), float)
+        imu = replace(imu, magnetometer=replace(imu.magnetometer, hard_iron=hard, soft_iron=soft))
+    number = sorted(scenario.sensors).index(place)
+    ticks = sensors.clock(imu.clock, seed * 16 + number, plan.seconds)
+    moved = motion(plan.walker, ticks.time, place)
+    there = np.asarray(_field_along(field, moved.position, ticks.time, mode))
+    background = np.asarray(field.background, float)
+    stance = standing(plan.walker, ticks.time, place)
+    key = jax.random.fold_in(jax.random.key(seed), number)
+    steps = np.diff(ticks.time, prepend=ticks.time[0] - 1 / scenario.rate_hz)
+    measured = _measure(
+        imu, key, steps, moved.specific_force, moved.angular_rate,
+        np.einsum("tji,tj->ti", moved.attitude, there), moved.attitude, stance.astype(float),
+    )  # fmt: skip
+    kept = ticks.kept
+    stamps = ticks.stamps[kept]
+    streams = [Stream(stamps, np.asarray(x.values, float)[kept]) for x in measured[:2]]
+    magnetic = measured.magnetometer
+    assert magnetic is not None
+    compass = None
+    if scenario.field["kind"] != "none":
+        compass = Stream(stamps, np.asarray(magnetic.values, float)[kept])
+    truth = SensorTruth(
+        time=stamps,
+        motion=Motion(*(np.asarray(x)[kept] for x in moved)),
+        gyroscope_bias=np.asarray(measured.gyroscope.bias, float)[kept],
+        accelerometer_bias=np.asarray(measured.accelerometer.bias, float)[kept],
+        magnetic_field=there[kept],
+        disturbance=there[kept] - background,
+        stance=stance[kept],
+    )
+    return Sensor(streams[0], streams[1], compass, up="+z"), truth
+
+
+@jax.jit
+def _measure(*given: Any) -> sensors.MeasuredImu:
+    imu, key, steps, force, rate, magnetic, attitude, stance = given
+    return sensors.apply_imu(imu, key, steps, force, rate, magnetic, attitude=attitude, stance=stance)
+
+
+_AT_ONCE = 4096
+
+
+def _field_along(field: Field, position: np.ndarray, time: np.ndarray, mode: str) -> np.ndarray:
+    """The field `(T, 3)` along a path, some samples at a time: a building has thousands of dipoles."""
+    parts = []
+    for first in range(0, len(time), _AT_ONCE):
+        place, at = position[first : first + _AT_ONCE], time[first : first + _AT_ONCE]
+        spare = _AT_ONCE - len(at)
+        place = np.concatenate([place, np.repeat(place[-1:], spare, axis=0)])
+        at = np.concatenate([at, np.repeat(at[-1:], spare)])
+        parts.append(np.asarray(_field_at(field, place.T, at, mode)).T[: _AT_ONCE - spare])
+    return np.concatenate(parts)
+
+
+_field_at = jax.jit(fields.field_at, static_argnames="mode")
+
+
+def _path(truth: SensorTruth) -> Truth:
+    """Position seen from the start, and orientation."""
+    from scipy.spatial.transform import Rotation
+
+    turned = Rotation.from_matrix(truth.motion.attitude).as_quat(scalar_first=True)
+    return Truth(truth.time, truth.motion.position - truth.motion.position[0], turned)
+
+
+def _landmarks(scenario: Scenario, truth: SensorTruth) -> Landmarks | None:
+    """Where the sensor truly was each time the walker passed a landmark: in the stance that was nearest."""
+    if not scenario.landmarks:
+        return None
+    place, time = truth.motion.position[:, :2], truth.time
+    middles = _middles(truth.stance)
+    marks = []
+    for mark in scenario.landmarks:
+        apart = np.linalg.norm(place[middles] - np.asarray(mark), axis=1)
+        near = apart < _PASSING
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(int)))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            marks.append(int(middles[begin + int(np.argmin(apart[begin:end]))]))
+    if not marks:
+        return None
+    index = np.unique(marks)
+    return Landmarks(time[index], truth.motion.position[index] - truth.motion.position[0])
+
+
+def _middles(stance: np.ndarray) -> np.ndarray:
+    """The middle sample of every stance."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], stance, [False]]).astype(int)))
+    return np.array([(a + b) // 2 for a, b in zip(edges[::2], edges[1::2], strict=True)], int)
