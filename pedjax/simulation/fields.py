@@ -322,7 +322,7 @@ class Steel(NamedTuple):
 
 STYLES = {
     "office": Steel(),
-    "corridor": Steel(room=(math.inf, math.inf), door_spacing=4.0),
+    "corridor": Steel(room=(math.inf, math.inf), wall_moment=16.0, door_spacing=4.0),
     "hall": Steel(room=(math.inf, math.inf), storey=4.0, beam_moment=600.0, door_spacing=15.0, elevators=0),
 }
 """Kinds of building. A corridor is a long and narrow extent of which both walls are felt."""

@@ -184,7 +184,7 @@ def footsteps(legs: Sequence[Leg], seed: int, standing: float = 2.0, origin: str
     longest = bucket(max(len(s) for s in feet.swings) + 1)
     left, right = (_stacked(side, longest, feet, i) for i, side in enumerate(feet.swings))
     sway = Sway(
-        share=np.abs(rng.normal(0.0, 1.0, (2, 3))),
+        share=np.abs(rng.normal(0.0, 1.0, (2, 3))) * [1.0, 0.7, 0.2],
         frequency=2 * np.pi * np.array([[0.7, 2.3, 6.1], [0.9, 1.9, 7.3]]) * rng.uniform(0.8, 1.2, (2, 3)),
         phase=rng.uniform(0, 2 * np.pi, (2, 3)),
     )

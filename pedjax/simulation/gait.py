@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -156,11 +157,15 @@ _STRIDE = 1.1  # s over which the trunk averages the feet
 
 def waist(t: Array, walker: Walker, lever: Array) -> tuple[Array, Array]:
     """Position `(3,)` m and attitude `(3, 3)` of a sensor on the waist, `lever (3,)` m from its middle."""
-    times = t + 0.5 * _STRIDE * _NODES
-    sides = [[ball(time, side) for time in times] for side in (walker.left, walker.right)]
+    times = t + 0.5 * _STRIDE * jnp.asarray(_NODES)
+    places, yaws = [], []
+    for side in (walker.left, walker.right):
+        place, yaw = jax.vmap(ball, in_axes=(0, None))(times, side)
+        places.append(place)
+        yaws.append(yaw)
     weights = 0.25 * jnp.asarray(_WEIGHTS)  # mean over time and over the two feet
-    middle = sum(w * (a[0] + b[0]) for w, a, b in zip(weights, *sides, strict=True))
-    yaw = sum(w * (a[1] + b[1]) for w, a, b in zip(weights, *sides, strict=True))
+    middle = jnp.sum(weights[:, None] * (places[0] + places[1]), axis=0)
+    yaw = jnp.sum(weights * (yaws[0] + yaws[1]))
     left, right = ball(t, walker.left)[0], ball(t, walker.right)[0]
     forward = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)])
     apart = jnp.sum((left - right)[:2] * forward)

@@ -166,14 +166,14 @@ def kvh_dsp_1750() -> Imu:
             drift_std=50 * _MICRO_G / _ALLAN_PEAK,  # [R] below 0.05 mg
             drift_time=_SILICON_TIME,
             limit=10 * _G,  # [R]
-            bandwidth=200.0,  # [R]
+            bandwidth=200.0,  # [A]
         ),
         gyroscope=Triad(
             noise=0.012 * _DEG / sqrt(_HOUR),  # [R] 0.012 deg/sqrt(h)
             bias_std=2 * _DEG / _HOUR / 3,  # [R] 2 deg/h; [P] less than 1 degree in an hour, integrated
             drift_std=0.05 * _DEG / _HOUR / _ALLAN_PEAK,  # [R] 0.05 deg/h typical
             drift_time=10 * _SILICON_TIME,
-            scale_std=500e-6 / 3,  # [R] 500 ppm
+            scale_std=500e-6 / 3,  # [A] 500 ppm
             limit=490 * _DEG,  # [R]
             bandwidth=440.0,  # [R]
         ),

@@ -4,7 +4,7 @@
 g-sensitivity; the low-pass; the biases and white noise; saturation; quantisation. The default of every field
 is no error, and then values come out bit for bit as they went in. Everything but `clock` is pure JAX: `vmap`
 over keys, over models, or both. Each source of error has its own key, so that switching one off leaves the
-draws of all others as they are, and cropping the end of a signal changes nothing before it.
+draws of all others as they are, and cropping the end of a signal changes nothing before it but last bits.
 """
 
 from __future__ import annotations
