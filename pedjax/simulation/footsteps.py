@@ -33,18 +33,18 @@ class Gait:
 
     speed: float = 1.2
     step_s: float = 0.58
-    swing: float = 0.42
+    swing: float = 0.48
     lift: float = 0.06
     aside: float = 0.02
     width: float = 0.16
-    toe_off: float = 0.9
+    toe_off: float = 1.05
     heel_strike: float = 0.4
     toe_out: float = 0.12
-    push: float = 0.24
+    push: float = 0.2
     settle: float = 0.1
     shock: float = 0.0008
     slip: float = 0.0008
-    unrest: float = 0.006
+    unrest: float = 0.03
     ground: float = 0.015
     spread: float = 0.02
 
@@ -52,11 +52,11 @@ class Gait:
 GAITS: dict[str, Gait] = {
     "walk": Gait(),
     "slow": Gait(
-        speed=0.75, step_s=0.72, swing=0.38, lift=0.045, toe_off=0.75, heel_strike=0.28, shock=0.0004
+        speed=0.75, step_s=0.72, swing=0.44, lift=0.045, toe_off=0.75, heel_strike=0.28, shock=0.0004
     ),
-    "fast": Gait(speed=1.7, step_s=0.5, swing=0.44, lift=0.08, toe_off=1.0, heel_strike=0.5, shock=0.001),
+    "fast": Gait(speed=1.7, step_s=0.5, swing=0.5, lift=0.08, toe_off=1.0, heel_strike=0.5, shock=0.001),
     "run": Gait(
-        speed=2.7, step_s=0.37, swing=0.64, lift=0.2, toe_off=1.05, heel_strike=0.25, push=0.1, settle=0.06,
+        speed=2.7, step_s=0.37, swing=0.68, lift=0.2, toe_off=0.95, heel_strike=0.25, push=0.1, settle=0.06,
         shock=0.0015, width=0.1,
     ),
     "stairs": Gait(
@@ -184,7 +184,7 @@ def footsteps(legs: Sequence[Leg], seed: int, standing: float = 2.0, origin: str
     longest = bucket(max(len(s) for s in feet.swings) + 1)
     left, right = (_stacked(side, longest, feet, i) for i, side in enumerate(feet.swings))
     sway = Sway(
-        share=np.abs(rng.normal(0.0, 1.0, (2, 3))) * [1.0, 0.7, 0.2],
+        share=np.abs(rng.normal(0.0, 1.0, (2, 3))) * [1.0, 0.8, 0.4],
         frequency=2 * np.pi * np.array([[0.7, 2.3, 6.1], [0.9, 1.9, 7.3]]) * rng.uniform(0.8, 1.2, (2, 3)),
         phase=rng.uniform(0, 2 * np.pi, (2, 3)),
     )

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import KDTree
 
+from pedjax.packing import bucket
 from pedjax.recording import Landmarks, Recording, Sensor, Stream, Truth
 from pedjax.runtime import double_precision
 from pedjax.simulation import earth, fields, sensors
@@ -164,23 +165,32 @@ def _sensor(
     stance = standing(plan.walker, ticks.time, place)
     key = jax.random.fold_in(jax.random.key(seed), number)
     steps = np.diff(ticks.time, prepend=ticks.time[0] - 1 / scenario.rate_hz)
-    measured = _measure(
-        imu, key, steps, moved.specific_force, moved.angular_rate,
-        np.einsum("tji,tj->ti", moved.attitude, there), moved.attitude, stance.astype(float),
-    )  # fmt: skip
+    count = len(ticks.time)
+    spare = bucket(count) - count  # few lengths to compile
+
+    def padded(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([x, np.repeat(x[-1:], spare, axis=0)])
+
+    seen = np.einsum("tji,tj->ti", moved.attitude, there)
+    given = (steps, moved.specific_force, moved.angular_rate, seen, moved.attitude, stance.astype(float))
+    measured = _measure(imu, key, *map(padded, given))
     kept = ticks.kept
     stamps = ticks.stamps[kept]
-    streams = [Stream(stamps, np.asarray(x.values, float)[kept]) for x in measured[:2]]
+
+    def arrived(x: Any) -> np.ndarray:
+        return np.asarray(x, float)[:count][kept]
+
+    streams = [Stream(stamps, arrived(x.values)) for x in measured[:2]]
     magnetic = measured.magnetometer
     assert magnetic is not None
     compass = None
     if scenario.field["kind"] != "none":
-        compass = Stream(stamps, np.asarray(magnetic.values, float)[kept])
+        compass = Stream(stamps, arrived(magnetic.values))
     truth = SensorTruth(
         time=stamps,
         motion=Motion(*(np.asarray(x)[kept] for x in moved)),
-        gyroscope_bias=np.asarray(measured.gyroscope.bias, float)[kept],
-        accelerometer_bias=np.asarray(measured.accelerometer.bias, float)[kept],
+        gyroscope_bias=arrived(measured.gyroscope.bias),
+        accelerometer_bias=arrived(measured.accelerometer.bias),
         magnetic_field=there[kept],
         disturbance=there[kept] - background,
         stance=stance[kept],

@@ -10,40 +10,12 @@ import pytest
 import pedjax
 from pedjax.cli.main import main
 from pedjax.readers import write_csv
+from tests.cli.calling import call, metrics, refused
 
 SCORE = {
     "count", "alignment", "rms_2d_m", "rms_3d_m", "mean_2d_m", "max_2d_m", "final_2d_m",
     "percent_of_distance", "pyshoe_armse_m",
 }  # fmt: skip
-
-
-@pytest.fixture(scope="session")
-def files(tmp_path_factory, demos):
-    """The short demo walks as files."""
-    folder = tmp_path_factory.mktemp("walks")
-    paths = []
-    for i, recording in enumerate(demos):
-        path = folder / f"walk{i}.csv"
-        write_csv(recording, path)
-        paths.append(str(path))
-    return paths
-
-
-def call(*args):
-    return main([str(a) for a in args])
-
-
-def refused(capsys, *args):
-    """Exit status 1 and one sentence on standard error."""
-    assert call(*args) == 1
-    error = capsys.readouterr().err
-    assert error.startswith("pedjax: ")
-    assert error.count("\n") == 1
-    return error
-
-
-def metrics(out):
-    return json.loads((out / "metrics.json").read_text())
 
 
 def test_run_writes_what_it_says(files, tmp_path, capsys):
@@ -186,23 +158,6 @@ def test_version(capsys):
         main(["--version"])
     assert ended.value.code == 0
     assert capsys.readouterr().out.strip() == f"pedjax {pedjax.__version__}"
-
-
-def test_sweep(files, tmp_path, capsys):
-    out = tmp_path / "sweep"
-    args = ("--set", "sweep.count=6", "--no-figures", "--out", out)
-    assert call("sweep", *files[:2], *args) == 0
-    whole = metrics(out)
-    assert whole["sets"] == 6
-    with (out / "sweep.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 6
-    assert min(float(r["mean_m"]) for r in rows) == pytest.approx(whole["best_mean_m"], rel=1e-6)
-    assert all(entry["tuned_on"] for entry in whole["recordings"])
-    assert "6 sets" in capsys.readouterr().out
-    again = tmp_path / "again"
-    assert call("run", files[0], files[2], "--config", out / "best.toml", "--out", again, "--no-figures") == 0
-    assert [entry.get("tuned_on", False) for entry in metrics(again)["recordings"]] == [True, False]
 
 
 def test_roc(files, tmp_path):
