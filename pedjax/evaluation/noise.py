@@ -46,7 +46,6 @@ _OWNER = np.array([i for i, names in enumerate(TERMS.values()) for _ in names]) 
 _TIME = PARAMETERS.index("gauss_markov_time")
 _STARTS = 3  # correlation times to start from
 _MOST_STEPS = 60
-_RANGE = np.log(1e4)  # over which a logarithm may lie before anything is known
 _OUTSIDE = 1e9  # cost of a correlation time that lies outside the curve
 _JUDGED = 5  # sets of terms that are compared each with its own covariance
 _ROUNDING = 2e-3  # least part of a correlation between points: what quadrature and sampling leave unsaid
@@ -84,17 +83,18 @@ def read_off(curve: AllanCurve, instability: Literal["ieee", "direct"] = "ieee")
     minimum = curve.deviation.min(axis=0)
     before = np.arange(len(curve.tau))[:, None] <= lowest
     return Readings(
-        _on_slope(curve, -0.5, 1.0, before),
+        _on_slope(curve, -0.5, 1.0, before, 0.05),
         minimum / (IEEE_FACTOR if instability == "ieee" else 1.0),
         curve.tau[lowest],
         lowest == len(curve.tau) - 1,
-        _on_slope(curve, 0.5, 3.0, ~before),
+        _on_slope(curve, 0.5, 3.0, ~before, 0.1),
     )
 
 
-def _on_slope(curve: AllanCurve, slope: float, at: float, where: np.ndarray) -> np.ndarray:
-    """Value `(D,)` at time `at` of a line of that slope through the longest run of points with it, or NaN."""
-    fits = where & (np.abs(local_slopes(curve.tau, curve.deviation) - slope) < 0.1)
+def _on_slope(curve: AllanCurve, slope: float, at: float, where: np.ndarray, within: float) -> np.ndarray:
+    """Value `(D,)` at time `at` of a line of that slope through the longest run of points whose own slope
+    lies `within` so much of it, or NaN."""
+    fits = where & (np.abs(local_slopes(curve.tau, curve.deviation) - slope) < within)
     read = np.log(curve.deviation) + slope * np.log(at / curve.tau)[:, None]
     found = np.full(fits.shape[1], np.nan)
     for c, column in enumerate(fits.T):
@@ -282,8 +282,10 @@ def identify(
     apart, summed (about the number of samples). Where a fit leaves more than chance does (the 99.9 % point
     of chi-square), every point is granted a relative error, the same for all, that makes it what chance
     leaves, and this is told as `misfit`: a sensor's own filter, or a vibration of the floor, is none of the
-    six terms. A correlation time outside the cluster times is not found: such a process looks like white
-    noise or a random walk.
+    six terms. The choice is a strict one: a term must stand out by three to four of its sigmas, and a weak
+    one that is there is rather missed, its part going to its neighbours, than one invented that is not. A
+    correlation time outside the cluster times is not found: such a process looks like white noise or a
+    random walk.
     """
     if not candidates:
         raise InputError(f"no noise term to look for; choose among {', '.join(TERMS)}")
@@ -321,13 +323,15 @@ def _identify(curve: AllanCurve, channel: int, candidates: tuple[str, ...]) -> N
     for _ in range(2):
         errors = _expected(_fit(tau, errors, [richest]).values[0], curve, seen)
     errors = errors.plus(_misfit(tau, errors, richest))
+    points = _edf_of(np.diag(errors.covariance))
+    price = np.log(points.sum() * np.log2(tau[-1] / tau[0]) / (len(tau) - 1))
     first = _fit(tau, errors, sets)
-    likely = (first.chi2 + first.price + _OUTSIDE * ~first.inside).argsort()[:_JUDGED]
-    judged = [_judge(curve, seen, sets[i], first.values[i], errors.misfit) for i in likely]
-    cost = np.array([each.cost for each in judged])
-    weights = np.exp(-0.5 * (cost - cost.min()))
+    bic = first.chi2 + _OUTSIDE * ~first.inside + price * np.array([_count(s) for s in sets])
+    judged = [_judge(curve, seen, sets[i], first.values[i], errors.misfit) for i in bic.argsort()[:_JUDGED]]
+    final = np.array([each.cost + price * _count(each.terms) for each in judged])
+    weights = np.exp(-0.5 * (final - final.min()))
     support = {t: float(weights[[t in j.terms for j in judged]].sum() / weights.sum()) for t in candidates}
-    best = judged[int(cost.argmin())]
+    best = judged[int(final.argmin())]
     misfit = max(errors.misfit, _misfit(tau, best.errors, best.terms))
     last = _fit(tau, best.errors.plus(misfit), [best.terms])
     values = dict(zip(PARAMETERS, last.values[0].tolist(), strict=True))
@@ -374,7 +378,7 @@ def _judge(
     errors = _expected(values, curve, seen)
     fit = _fit(curve.tau, errors.plus(misfit), [terms])
     size = np.linalg.slogdet(errors.plus(misfit).covariance)[1]
-    return _Judged(terms, errors, float(fit.chi2[0] + size + fit.price[0] + _OUTSIDE * ~fit.inside[0]))
+    return _Judged(terms, errors, float(fit.chi2[0] + size + _OUTSIDE * ~fit.inside[0]))
 
 
 def _expected(values: np.ndarray, curve: AllanCurve, seen: np.ndarray) -> _Errors:
@@ -412,7 +416,6 @@ class _Fits(NamedTuple):
     values: np.ndarray  # (S, 7)
     sigmas: np.ndarray  # (S, 7)
     chi2: np.ndarray  # (S,)
-    price: np.ndarray  # (S,) of the parameters: what takes the likelihood's peak to its mean over them
     inside: np.ndarray  # (S,) whether the correlation time, if any, lies within the curve
 
 
@@ -470,8 +473,6 @@ def _fit(tau: np.ndarray, errors: _Errors, sets: Sequence[tuple[str, ...]]) -> _
     information = normal(jacobian[pick], active[pick], np.zeros(len(pick)))
     sigma = np.sqrt(np.diagonal(np.linalg.pinv(information, hermitian=True), axis1=1, axis2=2))
     values = np.exp(x[pick]) * (active[pick] | (np.arange(len(PARAMETERS)) == _TIME))
-    price = np.log(np.maximum(np.linalg.eigvalsh(information) * _RANGE**2 / (2 * np.pi), 1.0)).sum(axis=1)
-    price = price - (~active[pick]).sum(axis=1) * np.log(_RANGE**2 / (2 * np.pi))
     time = x[pick, _TIME]
     inside = ~present[pick, -1] | ((time > low + 1e-6) & (time < high - 1e-6))
-    return _Fits(values, values * sigma * active[pick], chi2[pick], price, inside)
+    return _Fits(values, values * sigma * active[pick], chi2[pick], inside)

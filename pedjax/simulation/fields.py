@@ -2,8 +2,8 @@
 
 Pure functions, differentiable by position and by every number of every source. Positions and fields are ENU
 `(3, *L)` with lanes last, in m and µT; a group of N sources has the source axis first and may be empty.
-Everything but steel that encloses the sensor is free of divergence and curl. Sources do not magnetise each
-other, and posts only answer to the background.
+Outside of iron and wires every field is free of divergence and curl. Sources do not magnetise each other, and
+posts only answer to the background.
 
 A point source is a body of 1 cm radius: a dipole is a ball and a wire a rod, evenly magnetised or carrying
 its current evenly, which is exact outside and finite, as are the gradients, inside.
@@ -341,9 +341,9 @@ def building(
 
     Dipoles in walls, floor, ceiling, door frames and lift shafts, Munich around them unless told otherwise.
     The model is made up; its numbers were chosen so that 1 m high and half a metre from steel the field is
-    off by 3 to 6 µT RMS, its norm varies by 4 to 9 µT along a straight line of 8 m, and nearer to steel it is
+    off by 3 to 6 µT RMS, its norm varies by 4 to 10 µT along a straight line of 8 m, and near steel it is
     tens of µT off. A foot 0.1 m high feels the floor instead of the ceiling: as much RMS, but the norm varies
-    by 8 to 23 µT, in shorter waves.
+    by 8 to 24 µT, in shorter waves.
 
     `strength` scales all moments. Nobody walks through steel: what stands within `clearance` m of the walk
     `path (3, *L)` m is left out. The same key gives the same building.
@@ -421,7 +421,7 @@ def _is_clear(position: Array, path: Array, storey: float, clearance: float) -> 
 def _shafts(key: Array, outer: np.ndarray, style: Steel) -> Array:
     """Middles of the lift shafts `(N, 3)` m, outside of outer walls, which run counter-clockwise."""
     which, where = jax.random.split(key)
-    walls = jnp.asarray(outer)[jax.random.randint(which, (style.elevators,), 0, 4)]
+    walls = jnp.asarray(outer)[jax.random.randint(which, (style.elevators,), 0, 4, jnp.int32)]
     along = walls[:, 1] - walls[:, 0]
     out = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / norm(along.T)[:, None]
     at = walls[:, 0] + _uniform(where, (style.elevators, 1)) * along

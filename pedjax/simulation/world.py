@@ -17,7 +17,7 @@ from pedjax.simulation import earth, fields, sensors
 from pedjax.simulation.fields import Field
 from pedjax.simulation.footsteps import Plan, footsteps
 from pedjax.simulation.motion import Motion, motion, standing
-from pedjax.simulation.presets import presets
+from pedjax.simulation.presets import calibrated, presets
 from pedjax.simulation.scenarios import Scenario, load_scenario
 
 _PASSING = 2.0
@@ -145,14 +145,8 @@ def _near(field: Field, route: np.ndarray) -> Field:
 def _sensor(
     scenario: Scenario, plan: Plan, field: Field, mode: str, place: str, preset: str, seed: int
 ) -> tuple[Sensor, SensorTruth]:
-    imu = presets()[preset]
+    imu = calibrated(presets()[preset], 1.0 - scenario.calibrated)
     imu = replace(imu, clock=replace(imu.clock, rate=scenario.rate_hz))
-    left = 1.0 - scenario.calibrated
-    imu = replace(
-        imu,
-        accelerometer=replace(imu.accelerometer, bias_std=left * np.asarray(imu.accelerometer.bias_std)),
-        gyroscope=replace(imu.gyroscope, bias_std=left * np.asarray(imu.gyroscope.bias_std)),
-    )
     if scenario.iron:
         hard = np.asarray(scenario.iron.get("hard", np.zeros(3)), float)
         soft = np.asarray(scenario.iron.get("soft", np.eye(3)), float)
