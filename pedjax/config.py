@@ -184,6 +184,8 @@ def _with(section: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
     """A section with one key set; `ranges.PATH` and the like set one row of a table in it."""
     table, _, path = key.partition(".")
     if path:
+        if not isinstance(section.get(table, {}), Mapping):
+            raise InputError(f"--set: '{table}' is no table, so that '{table}.{path}' cannot be set")
         return {**section, table: {**section.get(table, {}), path: value}}
     return {**section, key: value}
 
@@ -258,7 +260,8 @@ def sweep_axes(config: Config) -> tuple[SweepSettings, tuple[Axis, ...]]:
     chosen, params = resolve(config)
     origin = f"{config.origin}: sweep"
     for path, options in settings.settings.items():
-        if not isinstance(options, list | tuple) or not options or len(set(options)) < len(options):
+        distinct = {repr(option) for option in options} if isinstance(options, list | tuple) else set()
+        if not distinct or len(distinct) < len(options):
             raise InputError(f"{origin}.settings.{path} must list choices, each once")
         if path not in parameters.choices(params):
             parameters.get(params, path)

@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Sequence
 
 from pedjax import __version__
+from pedjax.cli import allan
 from pedjax.errors import InputError
 
 
@@ -99,6 +100,7 @@ def _parser() -> argparse.ArgumentParser:
         "--out", metavar="FILE", help="a csv or csv.gz file (default: SCENARIO-SEED.csv.gz)"
     )
     simulate.add_argument("--no-figures", action="store_true", help="draw nothing")
+    allan.add_parser(commands, recordings)
     commands.add_parser("parameters", parents=[system], help="list the parameters of a system")
     return parser
 
@@ -125,6 +127,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
 
 
+def _devices(args: argparse.Namespace, cores: int) -> int:
+    asked: int | None = getattr(args, "devices", None)
+    return cores if asked is None else asked
+
+
 def _start(args: argparse.Namespace) -> None:
     """Everything that must be chosen before JAX starts."""
     from pedjax.runtime import available_cores, configure, default_cache
@@ -134,7 +141,7 @@ def _start(args: argparse.Namespace) -> None:
         warnings.simplefilter("always")
         configure(
             precision=getattr(args, "precision", None),
-            devices=(getattr(args, "devices", None) or available_cores()) if sweeps else None,
+            devices=_devices(args, available_cores()) if sweeps else None,
             cache=default_cache(),
         )
     for warning in caught:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,7 +19,8 @@ def world_figure(made: Simulated, seconds: float = 6.0) -> Figure:
     """The strength of the field at the height of the first sensor with the path and landmarks in it, and some
     seconds of its signals with the stances shaded."""
     figure = Figure(figsize=(11, 9), layout="constrained")
-    upper, lower = figure.subfigures(2, 1, height_ratios=[5, 6])
+    parts: Any = figure.subfigures(2, 1, height_ratios=[5, 6])
+    upper, lower = parts
     place, truth = next(iter(made.truth.items()))
     site = upper.subplots()
     route = truth.motion.position

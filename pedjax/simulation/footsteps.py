@@ -183,12 +183,12 @@ def footsteps(legs: Sequence[Leg], seed: int, standing: float = 2.0, origin: str
     feet.time += standing
     longest = bucket(max(len(s) for s in feet.swings) + 1)
     left, right = (_stacked(side, longest, feet, i) for i, side in enumerate(feet.swings))
-    sway = Sway(
-        share=np.abs(rng.normal(0.0, 1.0, (2, 3))) * [1.0, 0.8, 0.4],
-        frequency=2 * np.pi * np.array([[0.7, 2.3, 6.1], [0.9, 1.9, 7.3]]) * rng.uniform(0.8, 1.2, (2, 3)),
-        phase=rng.uniform(0, 2 * np.pi, (2, 3)),
-    )
-    lifts = np.array([*feet.lifts, *[(_FAR, _FAR + 1, 0.0)] * (8 - len(feet.lifts))])
+    share: Any = np.abs(rng.normal(0.0, 1.0, (2, 3))) * [1.0, 0.8, 0.4]
+    hertz = np.array([[0.7, 2.3, 6.1], [0.9, 1.9, 7.3]]) * rng.uniform(0.8, 1.2, (2, 3))
+    frequency: Any = 2 * np.pi * hertz
+    phase: Any = rng.uniform(0, 2 * np.pi, (2, 3))
+    sway = Sway(share, frequency, phase)
+    lifts: Any = np.array([*feet.lifts, *[(_FAR, _FAR + 1, 0.0)] * (8 - len(feet.lifts))])
     walker = Walker(left, right, sway, lifts)
     return Plan(walker, feet.time, np.array(feet.route), sum(len(s) for s in feet.swings))
 
@@ -383,5 +383,6 @@ def _stacked(swings: list[dict[str, Any]], longest: int, feet: _Feet, side: int)
         swing |= {"unrest_before": before, "unrest": after}
     ends = np.array([s["lands"] + s["settle"] for s in filled[:-1]])
     begins = np.array([s["leaves"] - s["push"] for s in filled[1:]])
-    border = np.concatenate([[-_FAR], 0.5 * (ends + begins), [2 * _FAR + 10 * longest]])
-    return Swings(border, *[np.array([s[name] for s in filled], float) for name in Swings._fields[1:]])
+    border: Any = np.concatenate([[-_FAR], 0.5 * (ends + begins), [2 * _FAR + 10 * longest]])
+    columns: list[Any] = [np.array([s[name] for s in filled], float) for name in Swings._fields[1:]]
+    return Swings(border, *columns)

@@ -35,7 +35,7 @@ class Scenario:
     after; `sensors` maps where a sensor is (foot, left_foot, waist, pocket) to the name of its preset;
     `field` has a `kind` and what that takes; `iron` the `hard` (3) and `soft` (3 x 3) iron of every
     magnetometer; `landmarks` are places (x, y) in m that are surveyed where the walker passes them;
-    `calibrated` the part of each constant error (biases, scale, misalignment) that a calibration has taken away;
+    `calibrated` the part of each constant error (biases, scale) that a calibration has taken away;
     `survey_m` the spacing of a magnetic survey over the whole site (0: none).
     """
 

@@ -111,7 +111,8 @@ def field_of(scenario: Scenario, plan: Plan, seed: int) -> Field:
     if kind == "building":
         low, high = plan.route[:, :2].min(axis=0) - 4.0, plan.route[:, :2].max(axis=0) + 4.0
         extent = ((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
-        return _near(fields.building(jax.random.key(seed + 7919), extent, **given), plan.route)
+        path = jnp.asarray(plan.route.T)
+        return _near(fields.building(jax.random.key(seed + 7919), extent, path=path, **given), plan.route)
     if kind == "street":
         return fields.street_template(**given)
     if kind == "floor_magnet":
@@ -127,18 +128,13 @@ _FELT = 0.016
 """A/m: the least moment over cubed distance (3 nT) for which a piece of steel is kept."""
 
 
-_BESIDE = 0.45
-"""m: nothing made of steel stands nearer to the walker's line than half a doorway."""
-
-
 def _near(field: Field, route: np.ndarray) -> Field:
-    """The field without the dipoles that are nowhere felt along the route, and without those above the floor
-    that the walker would walk into: still free of divergence and curl, at a fraction of the cost."""
+    """The field without the dipoles that are nowhere felt along the route: still free of divergence and
+    curl, at a fraction of the cost."""
     place = np.asarray(field.dipoles.position)
     apart, _ = KDTree(route[:, :2]).query(place[:, :2])
     size = np.linalg.norm(np.asarray(field.dipoles.moment), axis=1)
-    in_the_way = (apart < _BESIDE) & (place[:, 2] > 0) & (place[:, 2] < 2.2)
-    keep = np.flatnonzero((size >= _FELT * apart**3) & ~in_the_way)
+    keep = np.flatnonzero((size >= _FELT * apart**3) & (size > 0))
     return field._replace(dipoles=jax.tree.map(lambda x: x[keep], field.dipoles))
 
 

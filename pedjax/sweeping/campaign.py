@@ -12,10 +12,11 @@ import jax
 import numpy as np
 
 from pedjax import parameters
+from pedjax.packing import Walk
 from pedjax.recording import Recording
 from pedjax.sweeping import store as keep
 from pedjax.sweeping.designs import Design, lay_out
-from pedjax.sweeping.engine import Engine, Job, parts_of, slice_of
+from pedjax.sweeping.engine import Engine, Job, check_design, parts_of, slice_of
 from pedjax.sweeping.store import Store
 from pedjax.sweeping.team import Team, disband, shared_out, wait_for
 from pedjax.tuning.split import fingerprint
@@ -55,7 +56,10 @@ def manifest_of(
         "loss": job.problem.loss,
         "alignment": job.problem.alignment,
         "precision": np.dtype(job.dtype).name,
-        "recordings": [{"name": n, "fingerprint": f} for n, f in zip(job.names, prints, strict=True)],
+        "recordings": [
+            {"name": n, "fingerprint": f, "scored": _scored(w)}
+            for n, f, w in zip(job.names, prints, job.walks, strict=True)
+        ],
         "axes": [axis._asdict() for axis in design.axes],
         "settings": {path: sorted(set(column), key=str) for path, column in design.settings.items()},
         "design": digest.hexdigest()[:16],
@@ -65,6 +69,14 @@ def manifest_of(
         "parameters": parameters.to_nested(job.params),
         **about,
     }
+
+
+def _scored(walk: Walk) -> str:
+    """A short hash of what a fingerprint leaves out: time, and the points a run is scored at."""
+    digest = hashlib.sha256()
+    for values in (walk.imu.time, walk.index, walk.position):
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()[:16]
 
 
 def run_campaign(
@@ -79,12 +91,13 @@ def run_campaign(
 ) -> None:
     """Compute what the store lacks. With several processes, all of them call this and return together."""
     prints = [fingerprint(r) for r in recordings]
+    check_design(job, first)
     if team.leads:
         keep.tidy(store)
         if keep.read_design(store, 0) is None:
             keep.write_design(store, 0, first, 0)
     run = part = 0
-    total = first.count + rounds.refine * rounds.count
+    total = first.count + rounds.refine * rounds.count  # a grid may have fewer: then told at the last
     for number in range(rounds.refine + 1):
         if team.leads and number and keep.read_design(store, number) is None:
             keep.write_design(store, number, _closer(job, store, first, rounds, number), run)
@@ -95,6 +108,7 @@ def run_campaign(
         rest = keep.missing(store, parts, part, len(job.walks))
         sizes = {part + i: stop - start for i, (start, stop) in enumerate(parts)}
         done = run + design.count - sum(sizes[n] for n in rest)
+        total = run + design.count + (rounds.refine - number) * (design.count if number else rounds.count)
         if progress is not None:
             progress(done, total)
         engine = Engine(job, max(sizes.values()), devices) if rest else None

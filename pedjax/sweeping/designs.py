@@ -134,7 +134,7 @@ def _ranged(axis: Axis, given: Any, where: str) -> Axis:
     low, high, steps = parts
     if not low <= high:
         raise InputError(f"the range of {axis.path} runs from {low:g} down to {high:g}")
-    if steps != int(steps) or steps < 0:
+    if not math.isfinite(steps) or steps != int(steps) or steps < 0:
         raise InputError(f"{where}.{axis.path}: {steps!r} steps must be a whole number")
     return axis._replace(low=float(low), high=float(high), steps=int(steps))
 
@@ -144,6 +144,8 @@ def _listed(axis: Axis, given: Any, where: str) -> Axis:
         raise InputError(f"{where}.{axis.path} must be a list of numbers")
     if not all(isinstance(x, int | float) and not isinstance(x, bool) for x in given):
         raise InputError(f"{where}.{axis.path} = {given!r} must hold numbers")
+    if not all(math.isfinite(x) for x in given):
+        raise InputError(f"{where}.{axis.path} = {given!r} must hold finite numbers (nan and inf are none)")
     points = tuple(sorted({float(x) for x in given}))
     return axis._replace(low=points[0], high=points[-1], points=points)
 
@@ -210,7 +212,7 @@ def with_settings(
     return Design(tuple(axes), repeated, listed)
 
 
-_RESULTS = ("run", "round", "recording", "healthy", "stance_fraction", "recordings", "place")
+_RESULTS = ("run", "round", "recording", "healthy", "stance_fraction", "fingerprint")
 
 
 def listed_sets(path: Path, params: Any) -> dict[str, np.ndarray]:
@@ -218,13 +220,13 @@ def listed_sets(path: Path, params: Any) -> dict[str, np.ndarray]:
     tables add (`run`, scores in m) are passed over."""
     try:
         if path.suffix == ".parquet":
-            from pedjax.sweeping.store import arrow
+            from pedjax.sweeping.store import read_table
 
-            table = arrow().parquet.read_table(path)
+            table = read_table(path)
             columns = {name: table[name].to_pylist() for name in table.column_names}
         else:
             with path.open(newline="") as file:
-                rows = list(csv.reader(file))
+                rows = [row for row in csv.reader(file) if row]
             columns = {n: [row[i] for row in rows[1:]] for i, n in enumerate(rows[0] if rows else [])}
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error})") from None

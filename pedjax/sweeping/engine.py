@@ -20,6 +20,7 @@ from pedjax.errors import InputError, suggest
 from pedjax.evaluation.landmarks import ALIGNMENTS
 from pedjax.packing import Batch, Walk, chunk_of, columns_of, distinct, pack, padded, sizes_of
 from pedjax.recording import Clock, Recording
+from pedjax.running import check_length
 from pedjax.runtime import lane_count
 from pedjax.sweeping.designs import Design, with_settings
 from pedjax.systems import system as find_system
@@ -120,6 +121,20 @@ def job(
     return Job(Problem(chosen, loss, alignment), params, tuple(walks), jnp.result_type(float))
 
 
+def check_design(job: Job, design: Design) -> None:
+    """Refuse paths that are no numbers, and settings that a recording is too short for, before anything
+    compiles."""
+    known = parameters.specs(job.params)
+    for path in design.values:
+        if path not in known:
+            parameters.get(job.params, path)
+            raise InputError(f"'{path}' is a setting, not a number that can be swept; give it in settings")
+    for settings, _, _ in design.groups():
+        params = parameters.replace(job.params, settings)
+        for walk in job.walks:
+            check_length(job.problem.system, params, walk)
+
+
 def parts_of(design: Design, size: int) -> list[tuple[int, int]]:
     """Stretches of at most `size` sets, none of which crosses a change of settings."""
     return [
@@ -180,12 +195,13 @@ class Engine:
         key = tuple(settings.items())
         if key not in self._packed:
             self._packed.clear()  # settings come in stretches: one at a time is all that is needed
-            params = parameters.cast(parameters.replace(self.job.params, settings), self.job.dtype)
-            batches = [
-                pack(self.job.problem.system, params, walks, self.job.dtype, most_columns=self.columns)
-                for walks in _shares(self.job.walks)
-            ]
-            self._packed[key] = [jax.device_put((params, batches), d) for d in self.devices]
+            with jax.enable_x64(self.job.dtype == jnp.float64):
+                params = parameters.cast(parameters.replace(self.job.params, settings), self.job.dtype)
+                batches = [
+                    pack(self.job.problem.system, params, walks, self.job.dtype, most_columns=self.columns)
+                    for walks in _shares(self.job.walks)
+                ]
+                self._packed[key] = [jax.device_put((params, batches), d) for d in self.devices]
         return self._packed[key]
 
 
@@ -261,10 +277,11 @@ def sweep(
     are too long to lose, see `sweeping.store` and the command line.
     """
     counts = {len(v) for v in values.values()}
-    if len(counts) != 1:
+    if len(counts) != 1 or counts == {0}:
         raise InputError(f"every swept parameter needs equally many values, not {sorted(counts)}")
     work = job(recordings, system, params, loss=loss, alignment=alignment, sensor=sensor, clock=clock)
     design = with_settings((), values, settings or {})
+    check_design(work, design)
     parts = parts_of(design, work.part)
     engine = Engine(work, max(stop - start for start, stop in parts), devices)
     found = []

@@ -56,6 +56,15 @@ def arrow() -> Any:
     return pyarrow
 
 
+def read_table(path: Path) -> Any:
+    """An arrow table from a Parquet file; an `OSError` where it is none."""
+    pa = arrow()
+    try:
+        return pa.parquet.read_table(path)
+    except pa.ArrowInvalid as error:
+        raise OSError(str(error)) from None
+
+
 def identity_of(manifest: Mapping[str, Any]) -> str:
     """A short name for all that decides the numbers of a sweep."""
     text = json.dumps(plain(dict(manifest)), sort_keys=True)

@@ -206,13 +206,11 @@ def test_wrong_sweeps(files, tmp_path, capsys, args, message):
     assert not (place / "manifest.json").exists()
 
 
-@pytest.mark.xfail(strict=True, raises=AssertionError, reason="0 is taken for 'as many as there are cores'")
 def test_no_devices_at_all_are_refused(tmp_path, capsys):
     args = ("--devices", 0, "--set", "sweep.count=0", "--out", tmp_path)
     assert "devices = 0" in refused(capsys, "sweep", "demo:0", *args)
 
 
-@pytest.mark.xfail(strict=True, raises=TypeError)
 @pytest.mark.parametrize(
     "options",
     [

@@ -176,7 +176,6 @@ def test_double_precision_reaches_the_threads(walks):
     assert 0 < np.abs(high.loss - low.loss).max() < 1e-3
 
 
-@pytest.mark.xfail(strict=True, raises=UserWarning, reason="packed in the caller's precision, not the job's")
 def test_a_job_keeps_its_precision(walks):
     work = engine.job(walks[2:3])
     with jax.enable_x64(False):
@@ -262,20 +261,17 @@ def test_recordings_without_points_are_refused(walks):
         sweep([replace(walks[0], landmarks=None, truth=None)], sets(2))
 
 
-@pytest.mark.xfail(strict=True, reason="an unknown path is passed over: every run is the same")
 @pytest.mark.parametrize("path", ["gravty", "gate.kind"])
 def test_unknown_paths_are_refused(walks, path):
     with pytest.raises(InputError, match=path):
         sweep(walks[2:3], {path: np.ones(3)})
 
 
-@pytest.mark.xfail(strict=True, raises=ValueError, reason="max() of no parts")
 def test_no_set_at_all_is_refused(walks):
     with pytest.raises(InputError):
         sweep(walks[2:3], {"gravity": np.zeros(0)})
 
 
-@pytest.mark.xfail(strict=True, raises=AssertionError, reason="only the first settings' window is checked")
 def test_a_window_longer_than_the_recording_is_refused_before_anything_runs(walks):
     calls = []
     settings = {"stance.shoe.window_s": [0.025, 100.0]}

@@ -59,7 +59,6 @@ def test_loss_is_that_of_the_soft_gate(demos, found):
     assert found.loss == pytest.approx(swept.mean[0], rel=1e-9)
 
 
-@pytest.mark.xfail(strict=True, raises=AssertionError, reason="a width that was swept, 0 too, is put back")
 def test_a_swept_width_leaves_the_gate_soft(work, monkeypatch):
     widths = []
 
