@@ -146,7 +146,8 @@ def _start(args: argparse.Namespace) -> None:
         )
     for warning in caught:
         print(f"pedjax: {warning.message}", file=sys.stderr)
-    if getattr(args, "distributed", False) or getattr(args, "coordinator", None):
+    named = [getattr(args, name, None) for name in ("coordinator", "processes", "process_id")]
+    if getattr(args, "distributed", False) or any(x is not None for x in named):
         import jax
 
         try:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax
 from tqdm import tqdm
 
 from pedjax import __version__, parameters
@@ -20,7 +21,7 @@ from pedjax.output import folder, write_figure, write_json, write_table, write_t
 from pedjax.plots import sweeps as figures
 from pedjax.sources import read_all
 from pedjax.sweeping import store as keep
-from pedjax.sweeping.campaign import Rounds, manifest_of, run_campaign
+from pedjax.sweeping.campaign import Rounds, manifest_of, recordings_of, run_campaign
 from pedjax.sweeping.designs import Axis
 from pedjax.sweeping.engine import Job, job
 from pedjax.sweeping.report import Report, analyse
@@ -42,13 +43,14 @@ def sweep(args: argparse.Namespace) -> int:
     rounds = Rounds(settings.refine, settings.shrink, settings.count, settings.design, config.seed)
     about = {"sensor": config.sensor, "clock": config.clock or "as read", "seed": config.seed}
     manifest = manifest_of(work, recordings, design, rounds, about)
-    team = assemble()
-    if not team.leads:
-        _follow(config, manifest)
-        run_campaign(work, recordings, design, rounds, _opened(config, manifest), team)
+    if jax.process_index() > 0:
+        team = assemble()  # waits until the first process has made the store
+        run_campaign(work, recordings, design, rounds, keep.open_store(config.out, manifest), team)
         return 0
     with keep.locked(config.out):
-        store = _opened(config, manifest)
+        store = keep.open_store(config.out, manifest)
+        keep.tidy(store)
+        team = assemble()
         section = {**vars(settings), "file": settings.file and str(Path(settings.file).resolve())}
         write_toml(store.path / "config.toml", resolved(config, resolve(config)[1], sweep=section))
         try:
@@ -78,17 +80,6 @@ def _job(config: Config, recordings: list[Any], loss: str) -> Job:
     return job(
         recordings, chosen, params, loss=loss, alignment=alignment, sensor=config.sensor, clock=config.clock
     )
-
-
-def _opened(config: Config, manifest: dict[str, Any]) -> Store:
-    return keep.open_store(config.out, manifest)
-
-
-def _follow(config: Config, manifest: dict[str, Any]) -> None:
-    """Wait until the first process has made the store."""
-    from pedjax.sweeping.team import wait_for
-
-    wait_for(lambda: (Path(config.out) / "manifest.json").exists())
 
 
 class _progress:
@@ -205,14 +196,13 @@ def _slopes(work: Job, params: Any, axes: tuple[Axis, ...], found: Report, out: 
 
 def _readable(store: Store, config: Config) -> Job | None:
     """The sweep's job again, where its recordings can still be read and are the same."""
-    from pedjax.tuning import fingerprint
-
     try:
         recordings = read_all(config.recordings, None)
     except InputError as error:
         say(f"no slopes at the best set: {error}")
         return None
-    if [fingerprint(r) for r in recordings] != [r["fingerprint"] for r in store.manifest["recordings"]]:
+    work = _job(config, recordings, store.manifest["loss"])
+    if recordings_of(work, recordings) != store.manifest["recordings"]:
         say("no slopes at the best set: the recordings have changed since the sweep")
         return None
-    return _job(config, recordings, store.manifest["loss"])
+    return work

@@ -47,7 +47,6 @@ def manifest_of(
     for path, values in design.values.items():
         digest.update(path.encode() + np.ascontiguousarray(values).tobytes())
     digest.update(repr(design.settings).encode())
-    prints = [fingerprint(r) for r in recordings]
     return {
         "format": keep.FORMAT,
         "pedjax_version": __version__,
@@ -56,10 +55,7 @@ def manifest_of(
         "loss": job.problem.loss,
         "alignment": job.problem.alignment,
         "precision": np.dtype(job.dtype).name,
-        "recordings": [
-            {"name": n, "fingerprint": f, "scored": _scored(w)}
-            for n, f, w in zip(job.names, prints, job.walks, strict=True)
-        ],
+        "recordings": recordings_of(job, recordings),
         "axes": [axis._asdict() for axis in design.axes],
         "settings": {path: sorted(set(column), key=str) for path, column in design.settings.items()},
         "design": digest.hexdigest()[:16],
@@ -69,6 +65,14 @@ def manifest_of(
         "parameters": parameters.to_nested(job.params),
         **about,
     }
+
+
+def recordings_of(job: Job, recordings: Sequence[Recording]) -> list[dict[str, str]]:
+    """Each recording's name, fingerprint, and hash of what it is scored by."""
+    return [
+        {"name": n, "fingerprint": fingerprint(r), "scored": _scored(w)}
+        for n, r, w in zip(job.names, recordings, job.walks, strict=True)
+    ]
 
 
 def _scored(walk: Walk) -> str:
@@ -93,7 +97,8 @@ def run_campaign(
     prints = [fingerprint(r) for r in recordings]
     check_design(job, first)
     if team.leads:
-        keep.tidy(store)
+        if team.count == 1:  # a team tidies up before it assembles
+            keep.tidy(store)
         if keep.read_design(store, 0) is None:
             keep.write_design(store, 0, first, 0)
     run = part = 0

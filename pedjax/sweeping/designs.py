@@ -227,7 +227,10 @@ def listed_sets(path: Path, params: Any) -> dict[str, np.ndarray]:
         else:
             with path.open(newline="") as file:
                 rows = [row for row in csv.reader(file) if row]
-            columns = {n: [row[i] for row in rows[1:]] for i, n in enumerate(rows[0] if rows else [])}
+            head = rows[0] if rows else []
+            if len(set(head)) < len(head) or any(len(row) > len(head) for row in rows[1:]):
+                raise InputError(f"{path}: a column has no name of its own, or a row more values than names")
+            columns = {n: [row[i] for row in rows[1:]] for i, n in enumerate(head)}
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error})") from None
     except IndexError:
