@@ -13,6 +13,7 @@ from pedjax.errors import InputError
 from pedjax.output import atomic, folder, write_figure
 from pedjax.plots.worlds import world_figure
 from pedjax.readers.writing import write_csv
+from pedjax.simulation.labels import quasi_static
 from pedjax.simulation.scenarios import load_scenario, scenarios
 from pedjax.simulation.world import Simulated, simulate
 
@@ -81,4 +82,6 @@ def _truth(made: Simulated) -> dict[str, Any]:
             f"{place}_disturbance": truth.disturbance,
             f"{place}_stance": truth.stance,
         }
+        time, label = quasi_static(truth)
+        arrays |= {f"{place}_stance_time": time, f"{place}_quasi_static": label}
     return {**arrays, **made.survey()}

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pedjax.errors import InputError, suggest
 from pedjax.simulation.footsteps import Leg
 from pedjax.simulation.motion import MOUNTINGS
@@ -27,6 +29,10 @@ FIELDS: dict[str, tuple[str, ...]] = {
 """Kinds of magnetic field, and what each takes beside."""
 
 
+IRON = ("hard", "soft", "platform", "floor")
+"""What may disturb a magnetometer."""
+
+
 @dataclass(frozen=True)
 class Scenario:
     """What `simulate` makes a recording of.
@@ -34,7 +40,8 @@ class Scenario:
     `legs` are walked one after the other, all of them `rounds` times, with `standing_s` s of rest before and
     after; `sensors` maps where a sensor is (foot, left_foot, waist, pocket) to the name of its preset;
     `field` has a `kind` and what that takes; `iron` the `hard` (3) and `soft` (3 x 3) iron of every
-    magnetometer; `landmarks` are places (x, y) in m that are surveyed where the walker passes them;
+    magnetometer, and what acts while the foot stands only, `platform` in body and `floor` in navigation axes;
+    `landmarks` are places (x, y) in m that are surveyed where the walker passes them;
     `calibrated` the part of each constant error (biases, scale) that a calibration has taken away;
     `survey_m` the spacing of a magnetic survey over the whole site (0: none).
     """
@@ -126,8 +133,11 @@ def _check(scenario: Scenario) -> None:
     for key in scenario.field:
         if key != "kind" and key not in FIELDS[kind]:
             raise InputError(f"{where}: field '{kind}' takes no '{key}'{suggest(key, FIELDS[kind])}")
-    for key in scenario.iron:
-        if key not in ("hard", "soft"):
-            raise InputError(f"{where}: iron.{key} is unknown{suggest(key, ('hard', 'soft'))}")
+    for key, value in scenario.iron.items():
+        shape = {"hard": (3,), "soft": (3, 3), "platform": (3,), "floor": (3,)}.get(key)
+        if shape is None:
+            raise InputError(f"{where}: iron.{key} is unknown{suggest(key, IRON)}")
+        if np.shape(value) != shape:
+            raise InputError(f"{where}: iron.{key} must have the shape {shape}")
     if any(len(mark) != 2 for mark in scenario.landmarks):
         raise InputError(f"{where}: landmarks must be [x, y] in m")

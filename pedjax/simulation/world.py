@@ -16,6 +16,7 @@ from pedjax.runtime import double_precision
 from pedjax.simulation import earth, fields, sensors
 from pedjax.simulation.fields import Field
 from pedjax.simulation.footsteps import Plan, footsteps
+from pedjax.simulation.labels import stance_middles
 from pedjax.simulation.motion import Motion, motion, standing
 from pedjax.simulation.presets import calibrated, presets
 from pedjax.simulation.scenarios import Scenario, load_scenario
@@ -144,9 +145,9 @@ def _sensor(
     imu = calibrated(presets()[preset], 1.0 - scenario.calibrated)
     imu = replace(imu, clock=replace(imu.clock, rate=scenario.rate_hz))
     if scenario.iron:
-        hard = np.asarray(scenario.iron.get("hard", np.zeros(3)), float)
-        soft = np.asarray(scenario.iron.get("soft", np.eye(3)), float)
-        imu = replace(imu, magnetometer=replace(imu.magnetometer, hard_iron=hard, soft_iron=soft))
+        names = {"hard": "hard_iron", "soft": "soft_iron", "platform": "platform", "floor": "floor"}
+        iron: dict[str, Any] = {names[k]: np.asarray(v, float) for k, v in scenario.iron.items()}
+        imu = replace(imu, magnetometer=replace(imu.magnetometer, **iron))
     number = sorted(scenario.sensors).index(place)
     ticks = sensors.clock(imu.clock, seed * 16 + number, plan.seconds)
     moved = motion(plan.walker, ticks.time, place)
@@ -225,7 +226,7 @@ def _landmarks(scenario: Scenario, truth: SensorTruth) -> Landmarks | None:
     if not scenario.landmarks:
         return None
     place, time = truth.motion.position[:, :2], truth.time
-    middles = _middles(truth.stance)
+    middles = stance_middles(truth.stance)
     marks = []
     for mark in scenario.landmarks:
         apart = np.linalg.norm(place[middles] - np.asarray(mark), axis=1)
@@ -237,9 +238,3 @@ def _landmarks(scenario: Scenario, truth: SensorTruth) -> Landmarks | None:
         return None
     index = np.unique(marks)
     return Landmarks(time[index], truth.motion.position[index] - truth.motion.position[0])
-
-
-def _middles(stance: np.ndarray) -> np.ndarray:
-    """The middle sample of every stance."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], stance, [False]]).astype(int)))
-    return np.array([(a + b) // 2 for a, b in zip(edges[::2], edges[1::2], strict=True)], int)

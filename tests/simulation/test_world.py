@@ -9,6 +9,7 @@ import pedjax
 from pedjax.cli import main
 from pedjax.errors import InputError
 from pedjax.simulation.footsteps import Leg
+from pedjax.simulation.labels import quasi_static
 from pedjax.simulation.scenarios import Scenario, load_scenario, scenarios
 from pedjax.simulation.world import simulate
 
@@ -76,6 +77,35 @@ def test_the_recording_can_be_navigated(made):
     score = pedjax.evaluate(track, made.recording)
     assert track.healthy
     assert score.percent_of_distance < 5
+
+
+def test_a_homogeneous_field_is_quasi_static_and_a_magnet_is_not():
+    corridor = (Leg(points=((0.0, 0.0), (24.0, 0.0))),)
+    calm = simulate(replace(SMALL, legs=corridor, field={"kind": "munich"}, landmarks=(), survey_m=0.0), 1)
+    time, label = quasi_static(calm.truth["foot"])
+    assert len(time) > 12
+    assert label[2:].all()
+    assert not label[:2].any()
+    disturbed = {"kind": "floor_magnet", "place": (12.0, 0.0), "moment": (200.0, 0.0, 0.0)}
+    magnet = simulate(replace(SMALL, legs=corridor, field=disturbed, landmarks=(), survey_m=0.0), 1)
+    truth = magnet.truth["foot"]
+    time, label = quasi_static(truth)
+    away = np.abs(np.interp(time, truth.time, truth.motion.position[:, 0]) - 12.0)
+    assert not label[away < 2.0].any()
+    assert label[2:][away[2:] > 9.0].all()
+
+
+def test_what_acts_in_stance_acts_in_stance_only():
+    plain = replace(
+        SMALL, field={"kind": "munich"}, landmarks=(), survey_m=0.0, sensors={"foot": "mti_g_710"}
+    )
+    alone = simulate(plain, 2)
+    beside = simulate(replace(plain, iron={"platform": (5.0, 0.0, 0.0)}), 2)
+    difference = [made.recording.sensors["foot"].magnetometer.values for made in (beside, alone)]
+    difference = difference[0] - difference[1]
+    stance = alone.truth["foot"].stance
+    assert np.median(difference[stance, 0]) == pytest.approx(5.0, abs=0.1)
+    assert np.abs(difference[~stance]).max() < 0.1
 
 
 def test_a_survey_covers_the_site(made):
