@@ -59,18 +59,19 @@ def sweep(args: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             say(f"interrupted; what is done is kept in {store.path}: the same command goes on from there")
             return 130
-        _report(store, store.path, config, args, work)
+        _, columns = keep.read_store(store.path)
+        _report(store, columns, store.path, config, args, work)
     return 0
 
 
 def sweep_report(args: argparse.Namespace) -> int:
     """What a sweep's results say: numbers, tables, pictures."""
     place = Path(args.folder)
-    store, _ = keep.read_store(place)
+    store, columns = keep.read_store(place)
     config = load(place / "config.toml") if (place / "config.toml").exists() else None
     out = folder(args.out or place)
     work = _readable(store, config) if config is not None and args.gradient else None
-    _report(store, out, config, args, work)
+    _report(store, columns, out, config, args, work)
     return 0
 
 
@@ -125,10 +126,14 @@ class _progress:
 
 
 def _report(
-    store: Store, place: Path, config: Config | None, args: argparse.Namespace, work: Job | None
+    store: Store,
+    columns: dict[str, Any],
+    place: Path,
+    config: Config | None,
+    args: argparse.Namespace,
+    work: Job | None,
 ) -> None:
     """Analyse the table, write all that is known of it into a folder, and say the most of it."""
-    _, columns = keep.read_store(store.path)
     first = keep.read_design(store, 0)
     if first is None:
         raise InputError(f"{store.path}: the design is missing; run the sweep again")
