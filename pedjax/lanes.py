@@ -32,11 +32,6 @@ def matmul_t(a: Array, b: Array) -> Array:
     return jnp.sum(a[:, None] * b[None], axis=2)
 
 
-def t_matmul(a: Array, b: Array) -> Array:
-    """The transpose of `a (k, m, *L)` times `b (k, n, *L)`."""
-    return jnp.sum(a[:, :, None] * b[:, None], axis=0)
-
-
 def matvec(a: Array, x: Array) -> Array:
     """`a (m, n, *L)` times `x (n, *L)`."""
     return jnp.sum(a * x[None], axis=1)

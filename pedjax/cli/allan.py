@@ -22,7 +22,6 @@ from pedjax.evaluation.noise import (
     read_off,
 )
 from pedjax.output import folder, write_figure, write_json, write_table
-from pedjax.plots.allan import allan_figure
 from pedjax.recording import STANDARD_GRAVITY, Recording, Sensor, Stream
 from pedjax.sources import read_all
 
@@ -100,6 +99,8 @@ def add_parser(commands: Any, recordings: argparse.ArgumentParser) -> None:
 
 def allan(args: argparse.Namespace) -> int:
     """Curve, noise terms and their picture."""
+    from pedjax.plots.allan import allan_figure  # here: the parser above is needed at every start
+
     if len(args.recordings) != 1:
         raise InputError(
             f"allan takes one recording, {len(args.recordings)} were named; run it once for each"

@@ -54,7 +54,7 @@ def sweep(args: argparse.Namespace) -> int:
         section = {**vars(settings), "file": settings.file and str(Path(settings.file).resolve())}
         write_toml(store.path / "config.toml", resolved(config, resolve(config)[1], sweep=section))
         try:
-            with _progress(work.samples) as progress:
+            with _Progress(work.samples) as progress:
                 run_campaign(work, recordings, design, rounds, store, team, progress=progress)
         except KeyboardInterrupt:
             say(f"interrupted; what is done is kept in {store.path}: the same command goes on from there")
@@ -83,7 +83,7 @@ def _job(config: Config, recordings: list[Any], loss: str) -> Job:
     )
 
 
-class _progress:
+class _Progress:
     """A bar with rate and time left on a terminal, a line now and then elsewhere."""
 
     def __init__(self, steps: int) -> None:

@@ -1,4 +1,4 @@
-"""Tuning, ROC and sweeps."""
+"""Tuning and ROC."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pedjax.evaluation.roc import Roc
-from pedjax.sweeping.engine import Sweep
 
 if TYPE_CHECKING:
     from pedjax.tuning import Tuned
@@ -63,37 +62,4 @@ def roc_curve(curves: dict[str, Roc]) -> Figure:
         ax.set_ylim(0, 1.02)
         ax.grid(alpha=0.3)
     linear.legend(fontsize=8, loc="lower right")
-    return figure
-
-
-def sweep_map(sweep: Sweep, log_paths: set[str], unit: dict[str, str]) -> Figure:
-    """Mean error over each swept parameter, or over pairs of the first two as colours."""
-    paths = list(sweep.values)
-    finite = np.isfinite(sweep.mean)
-    shown = np.where(finite, sweep.mean, np.nan)
-    figure = Figure(
-        figsize=(4.2 * min(len(paths), 3) + (4.6 if len(paths) > 1 else 0), 4), layout="constrained"
-    )
-    axes = figure.subplots(1, min(len(paths), 3) + (len(paths) > 1), squeeze=False)[0]
-    for ax, path in zip(axes, paths, strict=False):
-        ax.plot(sweep.values[path], shown, ".", ms=5)
-        ax.plot(sweep.values[path][sweep.best], shown[sweep.best], "*", ms=13, color="C3")
-        ax.set_xscale("log" if path in log_paths else "linear")
-        ax.set_yscale("log")
-        ax.set_xlabel(f"{path} ({unit[path]})")
-        ax.set_ylabel("mean error (m)")
-        ax.grid(alpha=0.3, which="both")
-    if len(paths) > 1:
-        ax = axes[-1]
-        x, y = sweep.values[paths[0]], sweep.values[paths[1]]
-        dots = ax.scatter(x, y, c=np.log10(shown), s=28, cmap="viridis_r")
-        ax.plot(x[sweep.best], y[sweep.best], "*", ms=13, color="C3")
-        ax.set_xscale("log" if paths[0] in log_paths else "linear")
-        ax.set_yscale("log" if paths[1] in log_paths else "linear")
-        ax.set_xlabel(f"{paths[0]} ({unit[paths[0]]})")
-        ax.set_ylabel(f"{paths[1]} ({unit[paths[1]]})")
-        figure.colorbar(dots, ax=ax, label="log₁₀ mean error (m)")
-    figure.suptitle(
-        f"{len(shown)} parameter sets, best {np.nanmin(shown):.3f} m" if finite.any() else "none finite"
-    )
     return figure

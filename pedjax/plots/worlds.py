@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from pedjax.runtime import double_precision
-from pedjax.simulation import fields
 from pedjax.simulation.world import Simulated
 
 _CELLS = 160
@@ -65,9 +62,5 @@ def world_figure(made: Simulated, seconds: float = 6.0) -> Figure:
 def _strength(made: Simulated, low: np.ndarray, high: np.ndarray, height: float) -> np.ndarray:
     x, y = np.linspace(low[0], high[0], _CELLS), np.linspace(low[1], high[1], _CELLS)
     grid = np.stack([a.ravel() for a in np.meshgrid(x, y)])
-    points = np.concatenate([grid, np.full((1, grid.shape[1]), height)])
-    mode = str(made.scenario.field.get("mode", "superpose"))
-    at = jax.jit(lambda p: fields.field_at(made.field, p, 0.0, mode))  # type: ignore[arg-type]
-    with double_precision():
-        found = [np.asarray(at(points[:, i : i + 3200])) for i in range(0, points.shape[1], 3200)]
-    return np.linalg.norm(np.concatenate(found, axis=1), axis=0).reshape(_CELLS, _CELLS)
+    points = np.column_stack([grid.T, np.full(grid.shape[1], height)])
+    return np.linalg.norm(made.field_at(points), axis=1).reshape(_CELLS, _CELLS)

@@ -17,6 +17,7 @@ from jax import Array
 from pedjax import rotations
 from pedjax.recording import Landmarks, Recording, Sensor, Stream, Truth
 from pedjax.runtime import double_precision
+from pedjax.simulation.gait import ramp
 
 _GRAVITY = 9.8029
 _STILL = 2.0  # s before the first and after the last step
@@ -36,12 +37,6 @@ class _Gait(NamedTuple):
     heel_strike: Array
 
 
-def _ramp(u: Array) -> Array:
-    """0 to 1 over 0 <= u <= 1, with three derivatives zero at both ends."""
-    u = jnp.clip(u, 0.0, 1.0)
-    return u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3)
-
-
 def _pose(t: Array, gait: _Gait) -> tuple[Array, Array]:
     """Sensor position (3,) in m and Euler angles (3,) in rad at time t."""
     cycle = (t - _STILL) / gait.stride_s
@@ -52,7 +47,7 @@ def _pose(t: Array, gait: _Gait) -> tuple[Array, Array]:
     swing, start = 1 - gait.stance, 0.5 * gait.stance
 
     def between(begin: Array, end: Array) -> Array:
-        return _ramp((phase - begin) / (end - begin))
+        return ramp((phase - begin) / (end - begin))
 
     moved = between(start - 0.05, start + swing)
     up = between(start - 0.3 * gait.stance, start + 0.4 * swing) * gait.toe_off

@@ -244,22 +244,23 @@ def gx5() -> Imu:
     )
 
 
-_PRESETS: dict[str, Callable[[], Imu]] = {
+PRESETS: dict[str, Callable[[], Imu]] = {
     preset.__name__: preset
     for preset in (perfect, xsens_mtw, mti_g_710, mpu_9250, imu_array_8, kvh_dsp_1750, gx2, gx5)
 }
+"""What makes each unit, by name."""
 
 
 def presets() -> dict[str, Imu]:
     """Every unit by name."""
-    return {name: make() for name, make in _PRESETS.items()}
+    return {name: make() for name, make in PRESETS.items()}
 
 
 def preset(name: str) -> Imu:
     """The unit of that name; an unknown one is an `InputError` with a suggestion."""
-    if name not in _PRESETS:
-        raise InputError(f"sensor preset '{name}' is unknown{suggest(name, _PRESETS)}")
-    return _PRESETS[name]()
+    if name not in PRESETS:
+        raise InputError(f"sensor preset '{name}' is unknown{suggest(name, PRESETS)}")
+    return PRESETS[name]()
 
 
 _RANDOM = ("noise", "walk", "drift_std")

@@ -14,7 +14,7 @@ import numpy as np
 from pedjax.errors import InputError, suggest
 from pedjax.simulation.footsteps import Leg
 from pedjax.simulation.motion import MOUNTINGS
-from pedjax.simulation.presets import presets
+from pedjax.simulation.presets import PRESETS
 
 FIELDS: dict[str, tuple[str, ...]] = {
     "none": (),
@@ -61,6 +61,11 @@ class Scenario:
 
     def __post_init__(self) -> None:
         _check(self)
+
+    @property
+    def mode(self) -> str:
+        """How the cylinders of its field act together: `superpose` or `nearest`."""
+        return str(self.field.get("mode", "superpose"))
 
 
 def scenarios() -> dict[str, Path]:
@@ -125,8 +130,8 @@ def _check(scenario: Scenario) -> None:
     for place, preset in scenario.sensors.items():
         if place not in MOUNTINGS:
             raise InputError(f"{where}: no sensor can be carried at '{place}'{suggest(place, MOUNTINGS)}")
-        if preset not in presets():
-            raise InputError(f"{where}: sensor '{preset}' is unknown{suggest(str(preset), presets())}")
+        if preset not in PRESETS:
+            raise InputError(f"{where}: sensor '{preset}' is unknown{suggest(str(preset), PRESETS)}")
     kind = scenario.field.get("kind")
     if kind not in FIELDS:
         raise InputError(f"{where}: field kind {kind!r} is unknown{suggest(str(kind), FIELDS)}")

@@ -18,7 +18,7 @@ from pedjax.simulation.fields import Field
 from pedjax.simulation.footsteps import Plan, footsteps
 from pedjax.simulation.labels import stance_middles
 from pedjax.simulation.motion import Motion, motion, standing
-from pedjax.simulation.presets import calibrated, presets
+from pedjax.simulation.presets import calibrated, preset
 from pedjax.simulation.scenarios import Scenario, load_scenario
 
 _PASSING = 2.0
@@ -63,10 +63,12 @@ class Simulated:
         sides = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
         grid = np.stack([a.ravel() for a in np.meshgrid(*sides, indexing="ij")], axis=1)
         place = np.column_stack([grid, np.full(len(grid), height)])
-        mode = str(self.scenario.field.get("mode", "superpose"))
+        return {"survey_position": place, "survey_field": self.field_at(place)}
+
+    def field_at(self, position: np.ndarray) -> np.ndarray:
+        """The field `(M, 3)` in microtesla at places `(M, 3)` in m, at time 0."""
         with double_precision():
-            found = _field_along(self.field, place, np.zeros(len(place)), mode)
-        return {"survey_position": place, "survey_field": found}
+            return _field_along(self.field, position, np.zeros(len(position)), self.scenario.mode)
 
 
 def simulate(scenario: str | Scenario, seed: int = 0) -> Simulated:
@@ -75,12 +77,11 @@ def simulate(scenario: str | Scenario, seed: int = 0) -> Simulated:
         scenario = load_scenario(scenario)
     legs = scenario.legs * int(scenario.rounds)
     plan = footsteps(legs, seed, scenario.standing_s, f"scenario '{scenario.name}'")
-    mode = str(scenario.field.get("mode", "superpose"))
     with double_precision():
         field = field_of(scenario, plan, seed)
         found = {
-            place: _sensor(scenario, plan, field, mode, place, preset, seed)
-            for place, preset in scenario.sensors.items()
+            place: _sensor(scenario, plan, field, place, name, seed)
+            for place, name in scenario.sensors.items()
         }
     first = next(iter(found))
     truth = found[first][1]
@@ -140,9 +141,9 @@ def _near(field: Field, route: np.ndarray) -> Field:
 
 
 def _sensor(
-    scenario: Scenario, plan: Plan, field: Field, mode: str, place: str, preset: str, seed: int
+    scenario: Scenario, plan: Plan, field: Field, place: str, name: str, seed: int
 ) -> tuple[Sensor, SensorTruth]:
-    imu = calibrated(presets()[preset], 1.0 - scenario.calibrated)
+    imu = calibrated(preset(name), 1.0 - scenario.calibrated)
     imu = replace(imu, clock=replace(imu.clock, rate=scenario.rate_hz))
     if scenario.iron:
         names = {"hard": "hard_iron", "soft": "soft_iron", "platform": "platform", "floor": "floor"}
@@ -151,7 +152,7 @@ def _sensor(
     number = sorted(scenario.sensors).index(place)
     ticks = sensors.clock(imu.clock, seed * 16 + number, plan.seconds)
     moved = motion(plan.walker, ticks.time, place)
-    there = np.asarray(_field_along(field, moved.position, ticks.time, mode))
+    there = np.asarray(_field_along(field, moved.position, ticks.time, scenario.mode))
     background = np.asarray(field.background, float)
     stance = standing(plan.walker, ticks.time, place)
     key = jax.random.fold_in(jax.random.key(seed), number)

@@ -99,16 +99,13 @@ def run_campaign(
     if team.leads:
         if team.count == 1:  # a team tidies up before it assembles
             keep.tidy(store)
-        if keep.read_design(store, 0) is None:
+        if not keep.design_path(store, 0).exists():
             keep.write_design(store, 0, first, 0)
     run = part = 0
-    total = first.count + rounds.refine * rounds.count  # a grid may have fewer: then told at the last
     for number in range(rounds.refine + 1):
-        if team.leads and number and keep.read_design(store, number) is None:
+        if team.leads and not keep.design_path(store, number).exists():
             keep.write_design(store, number, _closer(job, store, first, rounds, number), run)
-        wait_for(partial(_has_design, store, number))
-        design = keep.read_design(store, number)
-        assert design is not None
+        design = wait_for(partial(keep.read_design, store, number))
         parts = parts_of(design, job.part)
         rest = keep.missing(store, parts, part, len(job.walks))
         sizes = {part + i: stop - start for i, (start, stop) in enumerate(parts)}
@@ -130,10 +127,6 @@ def run_campaign(
         if progress is not None:
             progress(run, total)
     disband(team, store.path)
-
-
-def _has_design(store: Store, number: int) -> bool:
-    return keep.read_design(store, number) is not None
 
 
 def _is_complete(store: Store, parts: Sequence[tuple[int, int]], first: int, recordings: int) -> bool:

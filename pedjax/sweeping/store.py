@@ -121,20 +121,25 @@ def locked(path: str | Path) -> Iterator[None]:
         yield
 
 
+def design_path(store: Store, number: int) -> Path:
+    """File of a round's parameter sets."""
+    return store.path / f"design-{number}.parquet"
+
+
 def write_design(store: Store, number: int, design: Design, first_run: int) -> None:
     """The parameter sets of one round."""
     columns: dict[str, Any] = {"run": np.arange(first_run, first_run + design.count)}
     columns |= {**design.settings, **design.values}
     about = {"axes": [axis._asdict() for axis in design.axes], "settings": list(design.settings)}
-    _write(store, store.path / f"design-{number}.parquet", columns, about)
+    _write(store, design_path(store, number), columns, about)
 
 
 def read_design(store: Store, number: int) -> Design | None:
     """The parameter sets of one round, None where it has not begun."""
-    path = store.path / f"design-{number}.parquet"
+    path = design_path(store, number)
     if not path.exists():
         return None
-    table = arrow().parquet.read_table(path)
+    table = read_table(path)
     about = json.loads(table.schema.metadata[b"pedjax"])
     axes = tuple(Axis(**{**axis, "points": tuple(axis["points"])}) for axis in about["axes"])
     settings = {name: table[name].to_pylist() for name in about["settings"]}
@@ -190,7 +195,7 @@ def read_store(path: str | Path) -> tuple[Store, dict[str, np.ndarray]]:
         raise InputError(f"{place}: the sweep has no finished part yet; run it first")
     pa = arrow()
     try:
-        table = pa.concat_tables([pa.parquet.read_table(part) for part in parts]).unify_dictionaries()
+        table = pa.concat_tables([read_table(part) for part in parts]).unify_dictionaries()
     except (OSError, pa.ArrowInvalid) as error:
         raise InputError(
             f"{place}: a part cannot be read ({error}); delete it and run the sweep again"

@@ -13,11 +13,13 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import jax
 import numpy as np
 
 _POLL_S = 0.2
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ def disband(team: Team, place: Path) -> None:
         shutil.rmtree(place / f".claims-{team.token}", ignore_errors=True)
 
 
-def wait_for(ready: Callable[[], bool]) -> None:
-    """Until another process has done its share."""
-    while not ready():
+def wait_for(ready: Callable[[], T | None]) -> T:
+    """What `ready` gives once another process has done its share: anything but None and False."""
+    while not (found := ready()):
         time.sleep(_POLL_S)
+    return found

@@ -569,7 +569,7 @@ def test_the_peak_of_the_allan_deviation_of_a_drift():
 
 def test_every_number_of_a_preset_has_its_source():
     """Each figure's line names data sheet, paper, measurement or assumption."""
-    for make in presets._PRESETS.values():
+    for make in presets.PRESETS.values():
         for line in inspect.getsource(make).splitlines():
             figure = line.strip().split("=")[0]
             if figure in Triad.__dataclass_fields__ and figure != "drift_time":
