@@ -6,7 +6,7 @@ from pedjax.recording import Inertial, Landmarks, Recording, Sensor, Stream, Tru
 from pedjax.running import Track, run
 from pedjax.runtime import configure
 from pedjax.scoring import Score, evaluate
-from pedjax.simulation import demo_walk
+from pedjax.simulation import Scenario, Simulated, simulate
 from pedjax.sources import read_any as read
 from pedjax.sweeping import Sweep, design, sweep
 from pedjax.systems import SYSTEMS, system
@@ -15,7 +15,8 @@ from pedjax.tuning import Tuned, TuneSettings, split, tune
 __version__ = "0.1.0"
 
 __all__ = [
-    "SYSTEMS", "Inertial", "InputError", "Landmarks", "Recording", "Score", "Sensor", "Stream", "Sweep",
-    "Track", "Truth", "TuneSettings", "Tuned", "__version__", "configure", "demo_walk", "design", "evaluate",
-    "inertial", "landmark_errors", "read", "roc", "run", "split", "sweep", "system", "tune",
+    "SYSTEMS", "Inertial", "InputError", "Landmarks", "Recording", "Scenario", "Score", "Sensor", "Simulated",
+    "Stream", "Sweep", "Track", "Truth", "TuneSettings", "Tuned", "__version__", "configure", "design",
+    "evaluate", "inertial", "landmark_errors", "read", "roc", "run", "simulate", "split", "sweep", "system",
+    "tune",
 ]  # fmt: skip

@@ -12,7 +12,7 @@ from pedjax import parameters
 from pedjax.ensemble import LOSSES
 from pedjax.errors import InputError, suggest
 from pedjax.recording import Clock
-from pedjax.sources import is_demo
+from pedjax.sources import is_made
 from pedjax.sweeping.designs import (
     DESIGNS,
     Axis,
@@ -140,7 +140,7 @@ def presets() -> dict[str, Path]:
 
 
 def _beside(home: Path, name: str) -> str:
-    return name if is_demo(name) or Path(name).is_absolute() else str(home / name)
+    return name if is_made(name) or Path(name).is_absolute() else str(home / name)
 
 
 def check(config: Config) -> None:
@@ -301,7 +301,7 @@ def resolved(config: Config, params: Any, **extra: Any) -> dict[str, Any]:
         names = getattr(config, key)
         if names:  # files by their whole path: the config may be loaded from anywhere
             here = key == "tuned_on"
-            whole[key] = [n if here or is_demo(n) else str(Path(n).resolve()) for n in names]
+            whole[key] = [n if here or is_made(n) else str(Path(n).resolve()) for n in names]
     for key in ("split", "clock"):
         if getattr(config, key) is not None:
             whole[key] = getattr(config, key)

@@ -47,4 +47,4 @@ def minute_recording(minute):
 def demos():
     """Four demo walks, cropped to different lengths."""
     seconds = (12.0, 19.0, 9.0, 15.0)
-    return [tools.crop(pedjax.demo_walk(seed), s) for seed, s in enumerate(seconds)]
+    return [tools.crop(pedjax.read(f"demo:{seed}"), s) for seed, s in enumerate(seconds)]

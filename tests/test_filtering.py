@@ -158,7 +158,7 @@ def test_without_the_options_the_track_is_the_same(tmp_path):
 import sys, jax, numpy as np, pedjax
 print(pedjax.configure().fast)
 jax.config.update("jax_enable_x64", True)
-np.save(sys.argv[1] if len(sys.argv) > 1 else TARGET, pedjax.run(pedjax.demo_walk(1, laps=1)).position)
+np.save(sys.argv[1] if len(sys.argv) > 1 else TARGET, pedjax.run(pedjax.read("demo:1")).position)
 """
     tracks = []
     for fast in ("0", "1"):

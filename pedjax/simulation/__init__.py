@@ -1,5 +1,6 @@
 """Walks that the package makes itself."""
 
-from pedjax.simulation.demo import demo_walk
+from pedjax.simulation.scenarios import Scenario
+from pedjax.simulation.world import Simulated, simulate
 
-__all__ = ["demo_walk"]
+__all__ = ["Scenario", "Simulated", "simulate"]

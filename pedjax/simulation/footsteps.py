@@ -17,7 +17,7 @@ from pedjax.simulation.gait import Sway, Swings, Walker
 _FAR = 1e6  # s, a time that no walk reaches
 _SHARPEST = math.radians(80)
 _WALKING = 2.2  # s between two landings of a foot, above which it stands
-_STANDS_STILL = 0.04  # how much less a foot sways in standing than in walking
+_STANDS_STILL = 0.02  # how much less a foot sways in standing than in walking
 _REST = 0.04  # s, the least that a foot is flat on the ground
 
 
@@ -25,26 +25,31 @@ _REST = 0.04  # s, the least that a foot is flat on the ground
 class Gait:
     """How somebody walks.
 
-    `speed` m/s and `step_s`, s a step; `swing` share of a stride that a foot is in the air; `lift`, `aside`,
-    `width` m; `toe_off`, `heel_strike`, `toe_out` rad; `push`, `settle` shares of a stride; `shock` m; `slip`
-    m, `unrest` rad (sway of a standing sole) and `ground` rad (its slope) as standard deviations; `spread`
-    the relative standard deviation of step length and time.
+    `speed` m/s and `step_s`, s a step; `swing` share of a stride that a foot goes forward; `lift`, `aside`,
+    `width` m; `toe_off`, `heel_strike`, `roll`, `toe_out` rad; `push`, `settle` shares of a stride;
+    `steepest`, `toe_up`, `highest` shares of a swing; `shock` m; `slip` m, `unrest` rad (sway of a standing
+    sole) and `ground` rad (its slope) as standard deviations; `spread` the relative standard deviation of
+    step length and time. How a foot turns is fitted to recorded strides (`experiments/gait_fit.py`).
     """
 
     speed: float = 1.2
     step_s: float = 0.58
-    swing: float = 0.48
-    lift: float = 0.06
+    swing: float = 0.52
+    lift: float = 0.02
     aside: float = 0.02
     width: float = 0.16
-    toe_off: float = 1.05
-    heel_strike: float = 0.4
+    toe_off: float = 0.94
+    heel_strike: float = 0.46
+    roll: float = 0.36
     toe_out: float = 0.12
-    push: float = 0.2
-    settle: float = 0.1
+    push: float = 0.1
+    settle: float = 0.09
+    steepest: float = 0.29
+    toe_up: float = 0.81
+    highest: float = 0.3
     shock: float = 0.0008
     slip: float = 0.0008
-    unrest: float = 0.03
+    unrest: float = 0.06
     ground: float = 0.015
     spread: float = 0.02
 
@@ -52,15 +57,20 @@ class Gait:
 GAITS: dict[str, Gait] = {
     "walk": Gait(),
     "slow": Gait(
-        speed=0.75, step_s=0.72, swing=0.44, lift=0.045, toe_off=0.75, heel_strike=0.28, shock=0.0004
+        speed=0.75, step_s=0.7, swing=0.47, settle=0.11, toe_off=0.74, heel_strike=0.38, roll=0.5,
+        steepest=0.27, toe_up=0.78, shock=0.0004, unrest=0.05,
     ),
-    "fast": Gait(speed=1.7, step_s=0.5, swing=0.5, lift=0.08, toe_off=1.0, heel_strike=0.5, shock=0.001),
+    "fast": Gait(
+        speed=1.9, step_s=0.47, swing=0.63, push=0.2, settle=0.05, toe_off=1.14, heel_strike=0.48, roll=0.4,
+        steepest=0.3, shock=0.001, unrest=0.09,
+    ),
     "run": Gait(
-        speed=2.7, step_s=0.37, swing=0.68, lift=0.2, toe_off=0.95, heel_strike=0.25, push=0.1, settle=0.06,
-        shock=0.0015, width=0.1,
+        speed=2.7, step_s=0.37, swing=0.63, push=0.16, settle=0.1, toe_off=1.0, heel_strike=0.58, roll=0.43,
+        steepest=0.31, toe_up=0.93, lift=0.13, highest=0.42, shock=0.0015, width=0.1, unrest=0.1,
     ),
     "stairs": Gait(
-        speed=0.5, step_s=0.62, swing=0.38, lift=0.07, toe_off=0.6, heel_strike=0.1, push=0.14, shock=0.0006
+        speed=0.5, step_s=0.62, swing=0.38, lift=0.07, toe_off=0.6, heel_strike=0.1, roll=0.2, push=0.14,
+        highest=0.45, shock=0.0006,
     ),
 }  # fmt: skip
 """Gaits by name."""
@@ -146,7 +156,10 @@ class _Feet:
                 "heading": self.facing[side], "turn": facing - self.facing[side],
                 "lift": gait.lift * style[0], "aside": gait.aside * (1 if side == 0 else -1),
                 "toe_off": gait.toe_off * style[1], "heel_strike": gait.heel_strike * style[2],
-                "push": gait.push * stride, "settle": gait.settle * stride, "shock": gait.shock * style[3],
+                "roll": gait.roll * (1 if side == 0 else -1),
+                "push": gait.push * stride, "settle": gait.settle * stride,
+                "steepest": gait.steepest, "toe_up": gait.toe_up, "highest": gait.highest,
+                "shock": gait.shock * style[3],
                 "slip": slip, "rest_before": self.ground[side], "rest": rest, "sway": gait.unrest,
             }
         )  # fmt: skip
@@ -181,9 +194,9 @@ def footsteps(legs: Sequence[Leg], seed: int, standing: float = 2.0, origin: str
         for _ in range(times):
             _DO[leg.kind](feet, once, f"{origin}: leg {number}")
     feet.time += standing
-    longest = bucket(max(len(s) for s in feet.swings) + 1)
+    longest = bucket(max(len(s) for s in feet.swings) + 1, 1)
     left, right = (_stacked(side, longest, feet, i) for i, side in enumerate(feet.swings))
-    share: Any = np.abs(rng.normal(0.0, 1.0, (2, 3))) * [1.0, 0.8, 0.4]
+    share: Any = np.abs(rng.normal(0.0, 1.0, (2, 3))) * [1.0, 0.35, 0.02]
     hertz = np.array([[0.7, 2.3, 6.1], [0.9, 1.9, 7.3]]) * rng.uniform(0.8, 1.2, (2, 3))
     frequency: Any = 2 * np.pi * hertz
     phase: Any = rng.uniform(0, 2 * np.pi, (2, 3))
@@ -369,7 +382,8 @@ def _stacked(swings: list[dict[str, Any]], longest: int, feet: _Feet, side: int)
     last = {
         "leaves": _FAR, "lands": _FAR + 1, "start": feet.place[side], "end": feet.place[side],
         "heading": feet.facing[side], "turn": 0.0, "lift": 0.0, "aside": 0.0, "toe_off": 0.0,
-        "heel_strike": 0.0, "push": 0.1, "settle": 0.1, "shock": 0.0, "slip": np.zeros(3),
+        "heel_strike": 0.0, "roll": 0.0, "push": 0.1, "settle": 0.1, "steepest": 0.3, "toe_up": 0.8,
+        "highest": 0.4, "shock": 0.0, "slip": np.zeros(3),
         "rest_before": feet.ground[side], "rest": feet.ground[side], "sway": GAITS["walk"].unrest,
     }  # fmt: skip
     never = [

@@ -3,15 +3,20 @@
 Every number says where it is from:
 
 - [S] data sheet, read for this file: Movella, MTi-300, May 2023 (the MTi-G-710 has the same inertial sensors
-  and magnetometer); InvenSense, PS-MPU-9250A-01, revision 1.0, 2014; AKM, MS1356-E-02 (AK8963, the
-  magnetometer in the MPU-9250), 2013.
-- [R] data sheet as commonly quoted, not read again for this file: look it up before you cite it.
+  and magnetometer), cdn.shopify.com/s/files/1/0716/3048/7831/files/MTi-300.pdf; InvenSense, PS-MPU-9250A-01,
+  revision 1.0, 2014, github.com/kriswiner/MPU-9250/files/608940/MPU-9250-Datasheet.pdf; AKM, MS1356-E-02
+  (AK8963, the magnetometer in the MPU-9250), 2013.
+- [R] quoted at second hand, the source itself not read: LORD, 3DM-GX5-25, 8400-0093 revision N (in
+  github.com/osrf/subt, submitted_models/marble_husky_sensor_config_3/specifications.md); KVH, DSP-1750
+  manual (in github.com/bholder5/bit-matlab-sim, ADCS/estimation.m); KVH, P-1775, DS_P1775_IMU_0921, a later
+  unit (canalgeomatics.com/wp-content/uploads/2022/07/kvh-p-1775-imu-datasheet.pdf); Olsson et al., Sensors
+  2020, 3534, of the older MTw.
 - [P] paper: Wang et al., Sensors 2018 (table 1, MTi-G-710); Munoz Diaz et al., Sensors 2017 (table 2, MTw
   beside a DSP-1750); Ma et al., Sensors 2018 (eight MPU-9250); Zhang et al. (MTw Awinda); the recordings of
   OpenShoe (3DM-GX2) and of Koroglu's gait-driven data set (3DM-GX5-25) for rates and ranges.
 - [M] measured on the still starts of those recordings: median over axes of the spectral density at 20 to
   40 Hz (GX2) or 60 to 95 Hz (GX5), the foot's own trembling included.
-- [A] assumed here.
+- [A] assumed here; "kit choice" is a figure for which no sheet could be found, with what it is typical for.
 
 Published densities are taken for two-sided as they stand; if the maker meant rms over root bandwidth, the
 noise is up to sqrt(2) too high. A published tolerance is taken for three standard deviations [A], an in-run
@@ -54,27 +59,27 @@ def xsens_mtw() -> Imu:
     """Xsens MTw Awinda, wireless, at 100 Hz [P: Zhang et al.]; Munoz Diaz et al. carry an older MTw."""
     return Imu(
         accelerometer=Triad(
-            noise=200 * _MICRO_G,  # [R]
+            noise=200 * _MICRO_G,  # [A] kit choice, typical for silicon with a range of 16 g
             bias_std=0.03,  # [A] as the MTi of the same maker
-            drift_std=100 * _MICRO_G / _ALLAN_PEAK,  # [R] 0.1 mg
+            drift_std=100 * _MICRO_G / _ALLAN_PEAK,  # [A] kit choice: 0.1 mg, typical for the same
             drift_time=_SILICON_TIME,
-            misalignment_std=0.1 * _DEG / 3,  # [R] 0.1 deg
-            limit=160.0,  # [R]
-            bandwidth=180.0,  # [R]
+            misalignment_std=0.1 * _DEG / 3,  # [A] kit choice: 0.1 deg, typical for units calibrated singly
+            limit=160.0,  # [R] of the older MTw
+            bandwidth=180.0,  # [A] kit choice, typical for wearable units that sample at about 1 kHz
         ),
         gyroscope=Triad(
-            noise=0.01 * _DEG,  # [P] 0.1 deg/s per sample at 100 Hz; [R] the same as a density
+            noise=0.01 * _DEG,  # [P] 0.1 deg/s per sample at 100 Hz, taken for white
             bias_std=0.1 * _DEG,  # [P] the size set in table 2
-            drift_std=10 * _DEG / _HOUR / _ALLAN_PEAK,  # [R] 10 deg/h
+            drift_std=10 * _DEG / _HOUR / _ALLAN_PEAK,  # [A] kit choice: 10 deg/h, as the MTi [S]
             drift_time=_SILICON_TIME,
-            misalignment_std=0.1 * _DEG / 3,  # [R] 0.1 deg
-            limit=2000 * _DEG,  # [R]
-            bandwidth=180.0,  # [R]
+            misalignment_std=0.1 * _DEG / 3,  # [A] kit choice: 0.1 deg, as above
+            limit=2000 * _DEG,  # [A] kit choice, typical for wearable units; the older MTw 21 rad/s [R]
+            bandwidth=180.0,  # [A] kit choice, as above
         ),
         magnetometer=Magnetometer(
             Triad(
-                noise=0.2 * _MILLI_GAUSS,  # [R]; the 0.015 microtesla [P] fits as a density of the older MTw
-                limit=1.9 * _GAUSS,  # [R]
+                noise=0.2 * _MILLI_GAUSS,  # [A] kit choice, near the 0.015 microtesla [P] taken for a density
+                limit=1.9 * _GAUSS,  # [A] kit choice, typical for magnetoresistive compass chips
             )
         ),
         clock=Clock(rate=100.0),
@@ -161,21 +166,22 @@ def kvh_dsp_1750() -> Imu:
     so that its triad is perfect: Munoz Diaz et al. emulate the field."""
     return Imu(
         accelerometer=Triad(
-            noise=120 * _MICRO_G,  # [R] 0.12 mg/sqrt(Hz)
-            bias_std=0.002 * _G / 3,  # [R] 2 mg
-            drift_std=50 * _MICRO_G / _ALLAN_PEAK,  # [R] below 0.05 mg
+            noise=120 * _MICRO_G,  # [A] kit choice, typical for tactical silicon; 34 in the P-1775 [R]
+            bias_std=0.002 * _G / 3,  # [A] kit choice: 2 mg, typical for tactical silicon
+            drift_std=50 * _MICRO_G / _ALLAN_PEAK,  # [A] kit choice, as above; 15 microg in the P-1775 [R]
             drift_time=_SILICON_TIME,
-            limit=10 * _G,  # [R]
+            limit=10 * _G,  # [A] kit choice: the P-1775 [R] comes with 10 g too
             bandwidth=200.0,  # [A]
         ),
         gyroscope=Triad(
-            noise=0.012 * _DEG / sqrt(_HOUR),  # [R] 0.012 deg/sqrt(h)
-            bias_std=2 * _DEG / _HOUR / 3,  # [R] 2 deg/h; [P] less than 1 degree in an hour, integrated
-            drift_std=0.05 * _DEG / _HOUR / _ALLAN_PEAK,  # [R] 0.05 deg/h typical
+            noise=0.012 * _DEG / sqrt(_HOUR),  # [R] 0.012 deg/sqrt(h) at most, P-1775
+            # The DSP-1750 manual [R] gives 10 deg/h, but [P] integrates less than 1 degree in an hour.
+            bias_std=2 * _DEG / _HOUR / 3,  # [A] kit choice: 2 deg/h, between the two
+            drift_std=0.05 * _DEG / _HOUR / _ALLAN_PEAK,  # [R] 0.05 deg/h, DSP-1750 and P-1775 alike
             drift_time=10 * _SILICON_TIME,
             scale_std=500e-6 / 3,  # [A] 500 ppm
-            limit=490 * _DEG,  # [R]
-            bandwidth=440.0,  # [R]
+            limit=490 * _DEG,  # [R] P-1775
+            bandwidth=440.0,  # [A] kit choice, typical for fibre gyroscopes read at 1 kHz
         ),
         clock=Clock(rate=100.0),
     )
@@ -186,7 +192,7 @@ def gx2() -> Imu:
     return Imu(
         accelerometer=Triad(
             noise=8.0e-4,  # [M]
-            bias_std=0.005 * _G,  # [R] bias stability 5 mg of the 5 g range
+            bias_std=0.005 * _G,  # [A] kit choice: 5 mg, typical for silicon units of its generation
             drift_std=50 * _MICRO_G / _ALLAN_PEAK,  # [A]
             drift_time=_SILICON_TIME,
             scale_std=0.008,  # [M] 1.008 g at rest
@@ -195,7 +201,7 @@ def gx2() -> Imu:
         ),
         gyroscope=Triad(
             noise=4.3e-4,  # [M] 0.025 deg/s/sqrt(Hz)
-            bias_std=0.2 * _DEG,  # [R] bias stability 0.2 deg/s
+            bias_std=0.2 * _DEG,  # [A] kit choice, typical for the same
             drift_std=50 * _DEG / _HOUR / _ALLAN_PEAK,  # [A]
             drift_time=_SILICON_TIME,
             limit=1200 * _DEG,  # [P]
@@ -204,7 +210,7 @@ def gx2() -> Imu:
         magnetometer=Magnetometer(
             Triad(
                 noise=0.006,  # [M]
-                limit=1.2 * _GAUSS,  # [R]
+                limit=1.2 * _GAUSS,  # [A] kit choice, about twice the strongest field of the earth
             )
         ),
         clock=Clock(rate=250.0),
@@ -215,29 +221,29 @@ def gx5() -> Imu:
     """MicroStrain 3DM-GX5-25, 20 g and 900 deg/s, at 200 Hz [P: Koroglu]."""
     return Imu(
         accelerometer=Triad(
-            noise=5.2e-4,  # [M] 53 microg/sqrt(Hz)
-            bias_std=0.002 * _G,  # [R] initial bias 2 mg
-            drift_std=40 * _MICRO_G / _ALLAN_PEAK,  # [R] 0.04 mg
+            noise=5.2e-4,  # [M] 53 microg/sqrt(Hz); [R] 20, its range not named
+            bias_std=0.002 * _G,  # [A] kit choice: 2 mg, typical for a calibrated industrial unit
+            drift_std=40 * _MICRO_G / _ALLAN_PEAK,  # [A] kit choice: 0.04 mg, typical for the same
             drift_time=_SILICON_TIME,
-            scale_std=0.0003,  # [R] 0.03 %
-            misalignment_std=0.05 * _DEG / 3,  # [R] 0.05 deg
+            scale_std=0.0003,  # [A] kit choice: 0.03 %, typical for the same
+            misalignment_std=0.05 * _DEG / 3,  # [A] kit choice: 0.05 deg, typical for the same
             limit=20 * _G,  # [A] the least option that holds the 169 m/s^2 recorded [P]
-            bandwidth=225.0,  # [R]
+            bandwidth=225.0,  # [A] kit choice, far above what a foot at 200 Hz shows
         ),
         gyroscope=Triad(
             noise=0.005 * _DEG,  # [R]; [M] 0.003
-            bias_std=0.04 * _DEG,  # [R] initial bias 0.04 deg/s
-            drift_std=8 * _DEG / _HOUR / _ALLAN_PEAK,  # [R] 8 deg/h
+            bias_std=0.04 * _DEG,  # [A] kit choice, typical for a calibrated industrial unit
+            drift_std=8 * _DEG / _HOUR / _ALLAN_PEAK,  # [A] kit choice: 8 deg/h, typical for the same
             drift_time=_SILICON_TIME,
-            scale_std=0.0005,  # [R] 0.05 %
-            misalignment_std=0.05 * _DEG / 3,  # [R] 0.05 deg
+            scale_std=0.0005,  # [A] kit choice: 0.05 %, typical for the same
+            misalignment_std=0.05 * _DEG / 3,  # [A] kit choice: 0.05 deg, typical for the same
             limit=900 * _DEG,  # [A] the least option that holds the 511 deg/s recorded [P]
-            bandwidth=250.0,  # [R]
+            bandwidth=250.0,  # [A] kit choice, far above what a foot at 200 Hz shows
         ),
         magnetometer=Magnetometer(
             Triad(
-                noise=0.4 * _MILLI_GAUSS,  # [R] 400 microgauss/sqrt(Hz)
-                limit=8 * _GAUSS,  # [R]
+                noise=0.4 * _MILLI_GAUSS,  # [A] kit choice, typical for magnetoresistive compass chips
+                limit=8 * _GAUSS,  # [A] kit choice, as the MTi [S]
             )
         ),
         clock=Clock(rate=200.0),

@@ -38,9 +38,11 @@ class Scenario:
     """What `simulate` makes a recording of.
 
     `legs` are walked one after the other, all of them `rounds` times, with `standing_s` s of rest before and
-    after; `sensors` maps where a sensor is (foot, left_foot, waist, pocket) to the name of its preset;
-    `field` has a `kind` and what that takes; `iron` the `hard` (3) and `soft` (3 x 3) iron of every
-    magnetometer, and what acts while the foot stands only, `platform` in body and `floor` in navigation axes;
+    after; legs without a speed of their own at one between the two `speeds` in m/s, in the gait that goes
+    with it, where those are given; `sensors` maps where a sensor is (foot, left_foot, waist, pocket) to the
+    name of its preset; `field` has a `kind` and what that takes; `iron` the `hard` (3) and `soft` (3 x 3)
+    iron of every magnetometer, and what acts while the foot stands only, `platform` in body and `floor` in
+    navigation axes;
     `landmarks` are places (x, y) in m that are surveyed where the walker passes them;
     `calibrated` the part of each constant error (biases, scale) that a calibration has taken away;
     `survey_m` the spacing of a magnetic survey over the whole site (0: none).
@@ -51,6 +53,7 @@ class Scenario:
     rate_hz: float = 100.0
     standing_s: float = 3.0
     rounds: int = 1
+    speeds: tuple[float, ...] = ()
     legs: tuple[Leg, ...] = ()
     sensors: Mapping[str, str] = dataclasses.field(default_factory=lambda: {"foot": "xsens_mtw"})
     field: Mapping[str, Any] = dataclasses.field(default_factory=lambda: {"kind": "munich"})
@@ -123,6 +126,9 @@ def _check(scenario: Scenario) -> None:
         raise InputError(f"{where}: calibrated = {scenario.calibrated:g} must lie between 0 and 1")
     if scenario.rounds < 1 or scenario.rounds != int(scenario.rounds):
         raise InputError(f"{where}: rounds = {scenario.rounds!r} must be a whole number from 1 on")
+    two = len(scenario.speeds) == 2
+    if scenario.speeds and not (two and 0.1 <= scenario.speeds[0] <= scenario.speeds[1] <= 6):
+        raise InputError(f"{where}: speeds = {list(scenario.speeds)} must be two, rising, from 0.1 to 6 m/s")
     if not scenario.legs:
         raise InputError(f"{where}: has no legs; give at least one [[legs]]")
     if not scenario.sensors:

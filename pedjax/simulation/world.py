@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from pedjax.recording import Landmarks, Recording, Sensor, Stream, Truth
 from pedjax.runtime import double_precision
 from pedjax.simulation import earth, fields, sensors
 from pedjax.simulation.fields import Field
-from pedjax.simulation.footsteps import Plan, footsteps
+from pedjax.simulation.footsteps import GAITS, Leg, Plan, footsteps
 from pedjax.simulation.labels import stance_middles
 from pedjax.simulation.motion import Motion, motion, standing
 from pedjax.simulation.presets import calibrated, preset
@@ -75,7 +76,7 @@ def simulate(scenario: str | Scenario, seed: int = 0) -> Simulated:
     """Walk a scenario: the same bits for the same seed, independent ones for another."""
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario)
-    legs = scenario.legs * int(scenario.rounds)
+    legs = _paced(scenario, seed) * int(scenario.rounds)
     plan = footsteps(legs, seed, scenario.standing_s, f"scenario '{scenario.name}'")
     with double_precision():
         field = field_of(scenario, plan, seed)
@@ -104,6 +105,18 @@ def simulate(scenario: str | Scenario, seed: int = 0) -> Simulated:
     )
 
 
+def _paced(scenario: Scenario, seed: int) -> tuple[Leg, ...]:
+    """The legs, at the pace of this seed."""
+    if not scenario.speeds:
+        return scenario.legs
+    low, high = scenario.speeds
+    speed = float(np.random.default_rng([37, seed]).uniform(low, high))
+    gait = min(("slow", "walk", "fast", "run"), key=lambda name: abs(math.log(GAITS[name].speed / speed)))
+    own = [leg.kind != "walk" or leg.speed is not None for leg in scenario.legs]
+    paced = (replace(leg, gait=gait, speed=speed) for leg in scenario.legs)
+    return tuple(a if keep else b for keep, a, b in zip(own, scenario.legs, paced, strict=True))
+
+
 def field_of(scenario: Scenario, plan: Plan, seed: int) -> Field:
     """The magnetic field of a scenario; that of a building is drawn with the seed."""
     given = dict(scenario.field)
@@ -129,6 +142,8 @@ def field_of(scenario: Scenario, plan: Plan, seed: int) -> Field:
 _FELT = 0.016
 """A/m: the least moment over cubed distance (3 nT) for which a piece of steel is kept."""
 
+_AWAY = 1e4  # m, where the dipoles are that fill up
+
 
 def _near(field: Field, route: np.ndarray) -> Field:
     """The field without the dipoles that are nowhere felt along the route: still free of divergence and
@@ -137,7 +152,12 @@ def _near(field: Field, route: np.ndarray) -> Field:
     apart, _ = KDTree(route[:, :2]).query(place[:, :2])
     size = np.linalg.norm(np.asarray(field.dipoles.moment), axis=1)
     keep = np.flatnonzero((size >= _FELT * apart**3) & (size > 0))
-    return field._replace(dipoles=jax.tree.map(lambda x: x[keep], field.dipoles))
+    spare = bucket(len(keep), 2) - len(keep)  # few counts to compile: no moment, no field
+    position = np.concatenate([place[keep], np.full((spare, 3), _AWAY)])
+    moment = np.concatenate([np.asarray(field.dipoles.moment)[keep], np.zeros((spare, 3))])
+    return field._replace(
+        dipoles=field.dipoles._replace(position=jnp.asarray(position), moment=jnp.asarray(moment))
+    )
 
 
 def _sensor(
@@ -158,7 +178,7 @@ def _sensor(
     key = jax.random.fold_in(jax.random.key(seed), number)
     steps = np.diff(ticks.time, prepend=ticks.time[0] - 1 / scenario.rate_hz)
     count = len(ticks.time)
-    spare = bucket(count) - count  # few lengths to compile
+    spare = bucket(count, 2) - count  # few lengths to compile
 
     def padded(x: np.ndarray) -> np.ndarray:
         return np.concatenate([x, np.repeat(x[-1:], spare, axis=0)])

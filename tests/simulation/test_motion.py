@@ -1,11 +1,13 @@
 """The walker's motion: signals are the exact derivatives of the path, and stand still where they say so."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from pedjax.errors import InputError
 from pedjax.simulation.footsteps import GAITS, Leg, footsteps
-from pedjax.simulation.motion import GRAVITY, MOUNTINGS, motion, standing
+from pedjax.simulation.motion import GRAVITY, MOUNTINGS, at, motion, standing
 
 MIXED = (
     Leg(points=((0.0, 0.0), (8.0, 0.0), (8.0, 3.0))),
@@ -45,8 +47,9 @@ def integrated(made, step):
 @pytest.mark.slow
 @pytest.mark.parametrize("mounting", sorted(MOUNTINGS))
 def test_integrating_the_signals_returns_the_path(plan, mounting):
-    """Under a millimetre and a hundredth of a degree per minute."""
-    rate = 1200.0
+    """Under a millimetre and a hundredth of a degree per minute; at 1200 Hz Runge-Kutta itself is 0.8 mm off
+    for a foot, at 2400 and 4800 Hz 3 micrometres."""
+    rate = 2400.0
     time = np.arange(0.0, plan.seconds, 1 / rate)
     made = motion(plan.walker, time, mounting)
     c, _, p = integrated(made, 2 / rate)
@@ -149,3 +152,21 @@ def test_every_gait_walks(gait):
 def test_what_a_foot_cannot_do_is_refused(leg, message):
     with pytest.raises(InputError, match=message):
         footsteps((leg,), seed=0)
+
+
+def test_walkers_side_by_side_are_walkers_one_by_one():
+    """A batch of walkers is a `vmap` over the arrays that they are made of."""
+    plans = [footsteps([Leg(points=((0.0, 0.0), (6.0, 0.0)))], seed) for seed in range(3)]
+    walkers = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *(p.walker for p in plans))
+    time = jnp.linspace(1.0, 6.0, 40)
+    lever, gravity = jnp.asarray(MOUNTINGS["foot"]), jnp.asarray(9.81)
+
+    def walked(walker):
+        return jax.vmap(lambda t: at(t, walker, "foot", lever, gravity))(time)
+
+    together = jax.jit(jax.vmap(walked))(walkers)
+    assert not np.allclose(together.position[0], together.position[1])
+    for k, plan in enumerate(plans):
+        alone = motion(plan.walker, np.asarray(time), "foot", 9.81)
+        for a, b in zip(together, alone, strict=True):
+            np.testing.assert_allclose(a[k], b, atol=1e-9)

@@ -9,6 +9,7 @@ import pytest
 import pedjax
 from pedjax import parameters
 from pedjax.filters.strapdown import ATTITUDE_UPDATES
+from pedjax.simulation.scenarios import load_scenario
 from tests import tools
 from tests.reference import detectors as naive
 from tests.reference import filter as oracle
@@ -232,7 +233,7 @@ def test_structure_of_the_parameters_does_not_change_with_values():
 
 @pytest.mark.slow
 def test_float32_stays_within_a_centimetre_over_ten_minutes():
-    recording = pedjax.demo_walk(3, laps=20)
+    recording = pedjax.simulate(replace(load_scenario("demo"), rounds=16), 3).recording
     assert recording.duration > 500.0
     double = pedjax.run(recording)
     with jax.enable_x64(False):
