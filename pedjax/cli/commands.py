@@ -13,7 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 from pedjax import __version__, parameters, plots
-from pedjax.cli import allan, simulate, sweeps
+from pedjax.cli import allan, calibrate, simulate, sweeps
 from pedjax.cli.common import configured, say, write_parameters
 from pedjax.config import Config, load, override, resolve, resolved, tune_settings
 from pedjax.detectors.stance import DETECTORS
@@ -346,6 +346,7 @@ COMMANDS = {
     "tune": tune,
     "simulate": simulate.run,
     "allan": allan.allan,
+    "calibrate": calibrate.calibrate,
     "sweep": sweeps.sweep,
     "sweep-report": sweeps.sweep_report,
     "roc": roc,

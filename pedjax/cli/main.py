@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Sequence
 
 from pedjax import __version__
-from pedjax.cli import allan
+from pedjax.cli import allan, calibrate
 from pedjax.errors import InputError
 
 
@@ -26,7 +26,7 @@ def _parser() -> argparse.ArgumentParser:
         "recordings",
         nargs="*",
         metavar="RECORDING",
-        help="a file, or demo:SEED for a walk made by the package",
+        help="a file, or SCENARIO:SEED (as demo:0) for a walk made by the package",
     )
     recordings.add_argument("--sensor", help="which sensor of the recording (default: foot)")
     recordings.add_argument(
@@ -101,6 +101,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     simulate.add_argument("--no-figures", action="store_true", help="draw nothing")
     allan.add_parser(commands, recordings)
+    calibrate.add_parser(commands, recordings)
     commands.add_parser("parameters", parents=[system], help="list the parameters of a system")
     return parser
 

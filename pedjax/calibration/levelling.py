@@ -1,0 +1,71 @@
+"""The field of a levelled body, its heading and inclination. Body forward-left-up, navigation ENU.
+
+With roll and pitch from specific force f at rest (up),
+
+    m_x' = m_x cos p + m_y sin p sin r + m_z sin p cos r
+    m_y' = m_y cos r - m_z sin r
+    m_z' = -m_x sin p + m_y cos p sin r + m_z cos p cos r
+
+Ma 2018, Eq. 3-5, prints the opposite signs of both angles, which holds only in north-east-down, and takes
+them by arc sines (Eq. 4 with a product where a quotient belongs).
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from pedjax import rotations
+from pedjax.calibration.algebra import angle, norm
+
+
+def roll_pitch(force: Array) -> tuple[Array, Array]:
+    """Roll and pitch in rad of a body at rest with specific force `(..., 3)`, in any unit.
+
+    Where it says nothing of an angle (no force, or all of it along x) that is zero, with zero gradient.
+    """
+    return angle(force[..., 1], force[..., 2]), angle(-force[..., 0], norm(force[..., 1:]))
+
+
+def level(force: Array, mag: Array) -> Array:
+    """The field `mag (..., 3)` of a body at rest, turned by its roll and pitch: `(..., 3)`, z up."""
+    roll, pitch = roll_pitch(force)
+    sr, cr, sp, cp = jnp.sin(roll), jnp.cos(roll), jnp.sin(pitch), jnp.cos(pitch)
+    x, y, z = mag[..., 0], mag[..., 1], mag[..., 2]
+    across = y * sr + z * cr
+    return jnp.stack([x * cp + across * sp, y * cr - z * sr, across * cp - x * sp], axis=-1)
+
+
+def heading(levelled: Array, declination: ArrayLike = 0.0) -> Array:
+    """Yaw in rad, counter-clockwise from east, of a body with levelled field `(..., 2 or 3)`:
+    atan2(m_x', m_y') - declination, which is positive to the east.
+
+    Zero without a horizontal field; see `heading_known`. Ma's Eq. 1 prints atan(B_y / B_x).
+    """
+    return rotations.wrap(angle(levelled[..., 0], levelled[..., 1]) - jnp.asarray(declination))
+
+
+def heading_known(levelled: Array, least: float = 0.1) -> Array:
+    """Where the horizontal part is more than this share of the field `(..., 3)` (kit choice)."""
+    return norm(levelled[..., :2]) > least * norm(levelled)
+
+
+def inclination(levelled: Array) -> Array:
+    """Angle in rad by which the levelled field `(..., 3)` points below the horizon (Ma 2018, Eq. 2)."""
+    return angle(-levelled[..., 2], norm(levelled[..., :2]))
+
+
+def stance_means(values: Array, weights: Array, stances: Array, count: int) -> tuple[Array, Array]:
+    """Weighted mean of `values (T, D)` over each stance: `(count, D)` and the weight in it `(count,)`.
+
+    `stances (T,)` numbers them from 0, -1 outside; a stance without weight has mean zero.
+    """
+    index = jnp.where((stances >= 0) & (stances < count), stances, count)
+    known = weights > 0
+    values = jnp.where(known[:, None], values, 0.0)
+    total = jax.ops.segment_sum(weights[:, None] * values, index, num_segments=count + 1)[:count]
+    weight = jax.ops.segment_sum(weights, index, num_segments=count + 1)[:count]
+    held = weight > 0
+    return jnp.where(held[:, None], total / jnp.where(held, weight, 1.0)[:, None], 0.0), weight
