@@ -14,6 +14,7 @@ from pedjax import parameters
 from pedjax.filtering import Packed
 from pedjax.packing import Walk
 from pedjax.recording import Inertial
+from pedjax.system import Signals
 from pedjax.systems.iez import IEZ
 
 RATE = 200.0
@@ -54,7 +55,7 @@ def packed(length: int, dtype: Any) -> tuple[Any, Packed]:
     chunk = 1 << round(np.log2(length) / 2)
     length = length // chunk * chunk
     given = [jnp.asarray(x, dtype) for x in signals(length)]
-    inputs = jax.jit(lambda f, r, d: IEZ.prepare(params, f, r, d, RATE))(*given)
+    inputs = jax.jit(lambda f, r, d: IEZ.prepare(params, Signals(f, r, d), RATE))(*given)
     slot = np.full((length, 1), -1)
     slot[::1000] = 0
     begin = np.zeros((length // chunk, 1), bool)

@@ -12,6 +12,7 @@ from pedjax import filtering, parameters
 from pedjax.detectors import stance
 from pedjax.filtering import Packed
 from pedjax.runtime import double_precision, lane_count
+from pedjax.system import Signals
 from pedjax.systems.iez import IEZ
 
 TUNED = (
@@ -26,7 +27,7 @@ def single_walk(length: int, dtype: Any) -> float:
     """Samples/s of one walk, whole track kept."""
     params = parameters.cast(IEZ.defaults(), dtype)
     given = [jnp.asarray(x, dtype) for x in signals(length)]
-    inputs = jax.jit(lambda f, r, d: IEZ.prepare(params, f, r, d, RATE))(*given)
+    inputs = jax.jit(lambda f, r, d: IEZ.prepare(params, Signals(f, r, d), RATE))(*given)
 
     @jax.jit
     def go(p: Any, i: Any) -> Any:

@@ -17,7 +17,7 @@ from pedjax.evaluation.landmarks import Errors, landmark_errors
 from pedjax.filtering import scan_points
 from pedjax.packing import Batch, Walk, walk
 from pedjax.recording import Clock, Recording
-from pedjax.running import check_length
+from pedjax.running import check_walk
 from pedjax.system import System
 
 LOSSES = {"armse": "pyshoe_armse", "rms_2d": "rms_2d", "mean_2d": "mean_2d", "rms_3d": "rms_3d"}
@@ -69,7 +69,7 @@ def walks_for(
     walks = []
     for recording in recordings:
         found = walk(recording, sensor, clock)
-        check_length(system, params, found)
+        check_walk(system, params, found)
         needed = 3 if loss == "rms_3d" else 2
         count = int(np.isfinite(found.position[:, :needed]).all(axis=1).sum())
         if count < 2:

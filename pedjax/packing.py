@@ -18,7 +18,7 @@ from pedjax.errors import InputError
 from pedjax.evaluation.landmarks import Reference
 from pedjax.filtering import Packed, Points
 from pedjax.recording import Clock, Inertial, Recording, inertial, sampling_rate
-from pedjax.system import Inputs, System
+from pedjax.system import Inputs, Signals, System
 
 TRUTH_HZ = 10.0
 """Dense truth is scored at this rate while tuning and sweeping; final reports use every sample of it."""
@@ -140,10 +140,8 @@ class Batch:
 
 
 @partial(jax.jit, static_argnames=("system", "rate_hz"))
-def _prepare(
-    system: System, parameters: Any, force: Array, rate: Array, dt: Array, rate_hz: float, length: int
-) -> Inputs:
-    return system.prepare(parameters, force, rate, dt, rate_hz, length)
+def _prepare(system: System, parameters: Any, signals: Signals, rate_hz: float, length: int) -> Inputs:
+    return system.prepare(parameters, signals, rate_hz, length)
 
 
 def nominal_rate(imu: Inertial) -> float:
@@ -168,7 +166,10 @@ def prepare(system: System, parameters: Any, imu: Inertial, dtype: Any, padded: 
 
     dt = jnp.asarray(np.concatenate([imu.dt, np.zeros(extra)]), dtype)
     rate_hz = nominal_rate(imu)
-    found = _prepare(system, parameters, pad(imu.specific_force), pad(imu.angular_rate), dt, rate_hz, n)
+    field = imu.magnetic_field
+    magnetic = pad(field) if system.magnetic and field is not None else None
+    signals = Signals(pad(imu.specific_force), pad(imu.angular_rate), dt, magnetic)
+    found = _prepare(system, parameters, signals, rate_hz, n)
     return found._replace(samples=jax.tree.map(lambda x: x[:padded], found.samples))
 
 

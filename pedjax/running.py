@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -31,8 +31,9 @@ class Track:
     (T, 3, 3)` body to navigation, `euler (T, 3)` roll, pitch, yaw in rad, `gyroscope_bias`,
     `accelerometer_bias (T, 3)`, `stance (T,)` weight of the zero-velocity update, `log_ratio (T,)` of the
     stance statistic over its threshold, `sigma (T, 15)` standard deviations (attitude, gyroscope bias,
-    position, velocity, accelerometer bias). `healthy` is false where the filter left the numbers, or never
-    found the foot still; `warnings` says what to look at.
+    position, velocity, accelerometer bias), `more` what the system says beside, by name, `(T, ...)`.
+    `healthy` is false where the filter left the numbers, or never found the foot still; `warnings` says what
+    to look at.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Track:
     sigma: np.ndarray
     healthy: bool
     warnings: tuple[str, ...]
+    more: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def distance(self) -> float:
@@ -71,9 +73,14 @@ def _scan(system: System, params: Any, inputs: Inputs) -> Output:
     return filtering.scan(system, params, inputs.samples, system.start(params, inputs.opening))[1]
 
 
-def check_length(system: System, params: Any, walk: Walk) -> None:
-    """Refuse a recording shorter than the detector's window."""
+def check_walk(system: System, params: Any, walk: Walk) -> None:
+    """Refuse a recording shorter than the detector's window, or without a sensor that the system needs."""
     window = window_samples(params.stance, nominal_rate(walk.imu))
+    if system.magnetic and walk.imu.magnetic_field is None:
+        raise InputError(
+            f"{walk.name}: the system '{system.name}' needs a magnetometer and this sensor has none; choose "
+            "another --sensor, or another --system (iez)"
+        )
     if len(walk.imu.time) < 2 * window:
         raise InputError(
             f"{walk.name}: {len(walk.imu.time)} samples are too few for a stance window of {window} "
@@ -93,7 +100,7 @@ def run(
     chosen = find_system(system)
     params = chosen.defaults() if params is None else params
     walk = as_walk(recording, sensor, clock)
-    check_length(chosen, params, walk)
+    check_walk(chosen, params, walk)
     dtype = jnp.result_type(float)
     length = len(walk.imu.time)
     params = parameters.cast(params, dtype)
@@ -119,6 +126,7 @@ def run(
         sigma=np.sqrt(np.maximum(output.variances, 0.0)),
         healthy=bool(output.healthy[-1]) and bool(output.stance.max() > 0.5),
         warnings=tuple(notes),
+        more=output.more,
     )
 
 

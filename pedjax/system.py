@@ -10,6 +10,16 @@ from jax import Array
 from pedjax.filters.strapdown import Navigation
 
 
+class Signals(NamedTuple):
+    """What a sensor measured, on one clock: specific force and angular rate `(T, 3)` in m/s^2 and rad/s, `dt
+    (T,)` s, and the magnetic field `(T, 3)` in µT, None where there is no magnetometer."""
+
+    force: Array
+    rate: Array
+    dt: Array
+    field: Array | None = None
+
+
 class Inputs(NamedTuple):
     """What a system's `prepare` makes of a recording.
 
@@ -26,7 +36,7 @@ class Output(NamedTuple):
     """What a step reports beside its state, lanes last; the caller keeps what it needs of it.
 
     `stance` is the weight of the zero-velocity update, `log_ratio` the stance statistic over its threshold
-    (log), `variances (15, *L)` the diagonal of the covariance.
+    (log), `variances (15, *L)` the diagonal of the covariance, `more` what a system has to say beside.
     """
 
     navigation: Navigation
@@ -34,13 +44,14 @@ class Output(NamedTuple):
     log_ratio: Array
     variances: Array
     healthy: Array
+    more: dict[str, Array] = {}  # noqa: RUF012
 
 
 class System(NamedTuple):
     """A published estimator.
 
-    `defaults()` gives its parameters; `prepare(parameters, force (T, 3), rate (T, 3), dt (T,), rate_hz,
-    length)` its `Inputs`, from the settings alone (samples from `length` on are padding, with dt = 0);
+    `defaults()` gives its parameters; `prepare(parameters, signals, rate_hz, length)` its `Inputs`, from the
+    settings alone (samples from `length` on are padding, with dt = 0);
     `tunable(parameters)` the paths that tuning and sweeps vary unless told otherwise;
     `start(parameters, opening)` the first state; and `step(parameters, state, sample)` the next state and an
     `Output`. The last three are pure and take leaves with any trailing lanes.
@@ -53,3 +64,5 @@ class System(NamedTuple):
     prepare: Callable[..., Inputs]
     start: Callable[[Any, Any], Any]
     step: Callable[[Any, Any, Any], tuple[Any, Output]]
+    magnetic: bool = False
+    """Whether it needs a magnetometer."""

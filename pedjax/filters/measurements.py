@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 from jax import Array
 
 from pedjax import rotations
 from pedjax.filters.covariance import Rows
 from pedjax.filters.strapdown import Navigation
-from pedjax.lanes import eye, matmul
+from pedjax.lanes import eye, matmul, matmul_t, matvec
+from pedjax.rotations import skew
 
 
 def zero_velocity(nav: Navigation, sigma: Array) -> Rows:
@@ -22,6 +24,48 @@ def zero_angular_rate(nav: Navigation, measured_rate: Array, sigma: Array) -> Ro
     """
     innovation = measured_rate - nav.gyroscope_bias
     return Rows(innovation, sigma * sigma * eye(3, innovation[0]), {"g": None})
+
+
+def yaw_row(attitude: Array) -> Array:
+    """h `(1, 3, *L)` with δyaw = h · t for the attitude error t in navigation axes: [tan(pitch) cos(yaw),
+    tan(pitch) sin(yaw), 1]; finite (and meaningless) at gimbal lock."""
+    level = attitude[0, 0] ** 2 + attitude[1, 0] ** 2 + 1e-9
+    x, y = (-attitude[2, 0] * attitude[k, 0] / level for k in range(2))
+    return jnp.stack([x, y, jnp.ones_like(x)])[None]
+
+
+def azimuth_row(field: Array) -> Array:
+    """h `(1, 3, *L)` with δazimuth = h · t of a field `(3, *L)` that the attitude turned into navigation
+    axes: [−B_z B_x/H², −B_z B_y/H², 1]. A tilt error tells on it by the field's inclination."""
+    level = field[0] ** 2 + field[1] ** 2 + 1e-9
+    x, y = (-field[2] * field[k] / level for k in range(2))
+    return jnp.stack([x, y, jnp.ones_like(x)])[None]
+
+
+def heading(innovation: Array, row: Array, sigma: Array) -> Rows:
+    """Heading: z = true − estimated `(*L)` in rad, H = h `(1, 3, *L)` on t (Ma 2018, Eq. 35-38)."""
+    z = (innovation * jnp.ones_like(row[0, 0]))[None]
+    return Rows(z, (sigma * sigma * jnp.ones_like(z[0]))[None, None], {"t": row})
+
+
+def same_field(field: Array, anchor: Array, sigma: Array) -> Rows:
+    """The field is what it was at the anchor: z = B_anchor − Ĉ m = [t×] B, H = −[B×] on t, with independent
+    noise of `sigma (*L)` µT in both (Afzal 2011, written in navigation axes)."""
+    return Rows(anchor - field, 2 * sigma * sigma * eye(3, field[0]), {"t": -skew(field)})
+
+
+def field_rate(
+    nav: Navigation, measured_rate: Array, before: Array, after: Array, dt: Array, noises: tuple[Array, Array]
+) -> Rows:
+    """In a field that does not change, a body sees it turn as it turns itself: ṁ = −ω × m, so that z = ṁ +
+    (ω − b̂) × m is g × m, H = −[m×] on g (Afzal 2011). `before`, `after (3, *L)` µT; `noises` are of one
+    sample of the magnetometer, µT, and of the gyroscope, rad/s."""
+    sigma_field, sigma_rate = noises
+    across = skew(0.5 * (before + after))
+    step = jnp.maximum(dt, 1e-6)
+    z = (after - before) / step - matvec(across, measured_rate - nav.gyroscope_bias)
+    noise = 2 * (sigma_field / step) ** 2 * eye(3, z[0]) + sigma_rate**2 * matmul_t(across, across)
+    return Rows(z, noise, {"g": -across})
 
 
 def correct(nav: Navigation, correction: dict[str, Array]) -> Navigation:

@@ -20,7 +20,7 @@ from pedjax.errors import InputError, suggest
 from pedjax.evaluation.landmarks import ALIGNMENTS
 from pedjax.packing import Batch, Walk, chunk_of, columns_of, distinct, pack, padded, sizes_of
 from pedjax.recording import Clock, Recording
-from pedjax.running import check_length
+from pedjax.running import check_walk
 from pedjax.runtime import lane_count
 from pedjax.sweeping.designs import Design, with_settings
 from pedjax.systems import system as find_system
@@ -132,7 +132,7 @@ def check_design(job: Job, design: Design) -> None:
     for settings, _, _ in design.groups():
         params = parameters.replace(job.params, settings)
         for walk in job.walks:
-            check_length(job.problem.system, params, walk)
+            check_walk(job.problem.system, params, walk)
 
 
 def parts_of(design: Design, size: int) -> list[tuple[int, int]]:

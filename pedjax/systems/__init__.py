@@ -5,8 +5,9 @@ from __future__ import annotations
 from pedjax.errors import InputError, suggest
 from pedjax.system import System
 from pedjax.systems.iez import IEZ
+from pedjax.systems.ma2018 import MA2018
 
-SYSTEMS: dict[str, System] = {IEZ.name: IEZ}
+SYSTEMS: dict[str, System] = {each.name: each for each in (IEZ, MA2018)}
 
 
 def system(name: str | System) -> System:

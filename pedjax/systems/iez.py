@@ -22,7 +22,7 @@ from pedjax.filters.strapdown import Navigation
 from pedjax.gates import gate
 from pedjax.lanes import align, lane_shape
 from pedjax.parameters import group, leaf, parameters, setting
-from pedjax.system import Inputs, Output, System
+from pedjax.system import Inputs, Output, Signals, System
 
 _OPENSHOE = "OpenShoe"
 _KIT = "kit choice"
@@ -135,13 +135,12 @@ class State(NamedTuple):
     healthy: Array
 
 
-def prepare(
-    p: IezParameters, force: Array, rate: Array, dt: Array, rate_hz: float, length: ArrayLike | None = None
-) -> Inputs:
+def prepare(p: IezParameters, signals: Signals, rate_hz: float, length: ArrayLike | None = None) -> Inputs:
     """Stance evidence of every sample, and the mean force of the first samples for levelling."""
+    force, rate = signals.force, signals.rate
     found = stance.evidence(p.stance, force, rate, rate_hz, length)
     first = max(round(p.initial.levelling_s * rate_hz), 1)
-    return Inputs(Sample(dt, force, rate, found), jnp.mean(force[:first], axis=0))
+    return Inputs(Sample(signals.dt, force, rate, found), jnp.mean(force[:first], axis=0))
 
 
 def start(p: IezParameters, opening: Array) -> State:

@@ -1,0 +1,269 @@
+"""Quasi-static field detectors: is the magnetic field the same here as a few steps ago?
+
+Each looks at a window of N + 1 fields in navigation axes, as the inertial attitude turns them there, and so
+at N changes from each to the next. What the papers call the difference between magnetic and gyroscope
+heading is minus the azimuth of that field, up to a constant; nothing else needs to be carried along. The
+field is quasi-static where statistic < threshold.
+
+Ma 2018 (Eq. 13-26), with the choices that its text leaves open as settings. Where it prints a level, |heading
+difference|, its abstract and the unit of its sigma say rate of change, which is the default here. Its
+densities carry an exponent 3/2 for one dimension (1/2; it cancels). Its threshold of 170 is far from what its
+Gaussian model gives (99 % of quasi-static windows stay below 21): kept as published.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from pedjax import rotations
+from pedjax.gates import log_positive
+from pedjax.lanes import add, cholesky, constant, dot, eye, forward_substitution, matmul_t
+from pedjax.parameters import group, leaf, parameters, setting
+
+_MA = "Ma 2018"
+_KIT = "kit choice"
+_MAGYQ = "MAGYQ, Renaudin and Combettes 2014, public code"
+_DEGREE = 0.017453292519943295
+
+
+class Look(NamedTuple):
+    """One look at the field: `field (3, *L)` µT in navigation axes, `yaw (*L)` rad of the inertial attitude,
+    and `time (*L)` s."""
+
+    field: Array
+    yaw: Array
+    time: Array
+
+
+Window = tuple[Look, ...]
+"""N + 1 looks, the oldest first."""
+
+
+def _mean_or_energy(y: list[Array], form: str) -> Array:
+    """(Σ y)²/N, the likelihood ratio of an unknown constant (Afzal, Ma), or Σ y²/N (Skog, Zhang)."""
+    return add(y) ** 2 / len(y) if form == "mean" else add(x * x for x in y) / len(y)
+
+
+def strength(field: Array) -> Array:
+    """‖B‖ `(*L)`, with a finite slope at zero."""
+    return jnp.sqrt(dot(field, field) + 1e-12)
+
+
+def azimuth(field: Array) -> Array:
+    """Direction of the horizontal field, rad counter-clockwise from x, with a finite slope at zero."""
+    return jnp.arctan2(field[1], field[0] + 1e-12)
+
+
+def inclination(field: Array) -> Array:
+    """By how much the field points below the horizon, rad."""
+    return jnp.arctan2(-field[2], jnp.sqrt(field[0] ** 2 + field[1] ** 2 + 1e-12))
+
+
+def _changes(window: Window, of: Callable[[Look], Array], per: str = "step") -> list[Array]:
+    found = [of(after) - of(before) for before, after in pairwise(window)]
+    if per == "step":
+        return found
+    return [y / _apart(a, b) for y, (a, b) in zip(found, pairwise(window), strict=True)]
+
+
+def _apart(before: Look, after: Look) -> Array:
+    return jnp.maximum(after.time - before.time, 1e-3)
+
+
+def _angles(window: Window, of: Callable[[Look], Array], per: str) -> list[Array]:
+    """Changes of an angle, each in (-pi, pi]."""
+    found = [rotations.wrap(y) for y in _changes(window, of)]
+    if per == "step":
+        return found
+    return [y / _apart(a, b) for y, (a, b) in zip(found, pairwise(window), strict=True)]
+
+
+def _size(y: list[Array], absolute: bool) -> list[Array]:
+    return [jnp.sqrt(x * x + 1e-18) for x in y] if absolute else y
+
+
+@parameters
+class Qsf:
+    """QSF of Afzal, Renaudin and Lachapelle 2011: the rate of change of the field's strength alone."""
+
+    threshold: Array = leaf(11.0, unit="1", low=1e-4, high=1e6, source=f"{_KIT}: 0.1 % of a χ² of one")
+    sigma_strength: Array = leaf(0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs")
+    form: str = setting("mean", choices=("mean", "energy"), source="Afzal 2011")
+    per: str = setting("step", choices=("step", "second"), source=_KIT)
+
+
+@parameters
+class Qmd:
+    """The classical quasi-static magnetic field detector (Zhang, Eq. 8-12): energy of the same rate."""
+
+    threshold: Array = leaf(5.4, unit="1", low=1e-4, high=1e6, source=f"{_KIT}: 0.1 % of a χ² of three, by 3")
+    sigma_strength: Array = leaf(0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs")
+    form: str = setting("energy", choices=("mean", "energy"), source="Zhang")
+    per: str = setting("step", choices=("step", "second"), source=_KIT)
+
+
+@parameters
+class Magyq:
+    """Variance form: variance of the strength in the window, and the last one's distance from its mean."""
+
+    variance: Array = leaf(6.0, unit="uT^2", low=1e-4, high=1e4, source=_MAGYQ)
+    outlier: Array = leaf(8.0, unit="uT", low=1e-3, high=1e3, source=_MAGYQ)
+
+
+@parameters
+class Iqsf:
+    """iQSF (Ma 2016), rebuilt from the description in Ma 2018: changes of strength, of magnetic heading and
+    of gyroscope heading, so that only a straight path can pass. Its own parameters are not public."""
+
+    threshold: Array = leaf(170.0, unit="1", low=1e-3, high=1e7, source=f"{_KIT}: as Ma 2018")
+    sigma_heading: Array = leaf(0.067, unit="rad", low=1e-5, high=3.0, source=f"{_KIT}: as Ma 2018")
+    sigma_strength: Array = leaf(0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs")
+    absolute: bool = setting(True, source=_KIT)
+    per: str = setting("step", choices=("step", "second"), source=_KIT)
+
+
+@parameters
+class Ma:
+    """Ma 2018: changes of heading difference, inclination and strength (Eq. 26)."""
+
+    threshold: Array = leaf(170.0, unit="1", low=1e-3, high=1e7, source=_MA)
+    sigma_heading: Array = leaf(0.067, unit="rad", low=1e-5, high=3.0, source=_MA)
+    sigma_inclination: Array = leaf(0.054, unit="rad", low=1e-5, high=3.0, source=_MA)
+    sigma_strength: Array = leaf(0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs")
+    theta: str = setting("rate", choices=("rate", "level"), source=f"{_MA}: abstract; level: Eq. 13")
+    absolute: bool = setting(True, source=_MA)
+    form: str = setting("mean", choices=("mean", "energy"), source=_MA)
+    per: str = setting("step", choices=("step", "second"), source=_KIT)
+
+
+@parameters
+class Vector:
+    """The change of the whole vector from one look to the next against its own covariance, the worst of the
+    window: Δᵀ Σ⁻¹ Δ with Σ = 2 σ² I + [B×] diag(τ², τ², ψ²) [B×]ᵀ, which is χ² of three where the field is
+    the same.
+
+    Its threshold is a probability: that of taking a window for quasi-static in which one change was as long
+    as `change`, in the direction where it is seen worst (a noncentral χ²; the other changes being none, so
+    that no field with such a change passes more often).
+    """
+
+    false_alarm: Array = leaf(0.1, unit="1", low=1e-6, high=0.999, source=_KIT)
+    change: Array = leaf(3.0, unit="uT", low=1e-3, high=100.0, source=f"{_KIT}: what quasi-static means")
+    sigma_field: Array = leaf(0.1, unit="uT", low=1e-4, high=100.0, source=f"{_KIT}: of one look")
+    sigma_tilt: Array = leaf(0.3 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two")
+    sigma_yaw: Array = leaf(0.3 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two")
+
+
+def _qsf(p: Qsf | Qmd, window: Window, north: Array) -> Array:
+    y = _changes(window, lambda look: strength(look.field), p.per)
+    t = _mean_or_energy(y, p.form) / p.sigma_strength**2
+    return log_positive(t) - jnp.log(p.threshold)
+
+
+def _magyq(p: Magyq, window: Window, north: Array) -> Array:
+    sizes = [strength(look.field) for look in window]
+    mean = add(sizes) / len(sizes)
+    variance = add((s - mean) ** 2 for s in sizes) / len(sizes)
+    away = (sizes[-1] - mean) ** 2
+    return jnp.maximum(
+        log_positive(variance) - jnp.log(p.variance), log_positive(away) - 2 * jnp.log(p.outlier)
+    )
+
+
+def _iqsf(p: Iqsf, window: Window, north: Array) -> Array:
+    y_strength = _size(_changes(window, lambda look: strength(look.field), p.per), p.absolute)
+    y_gyroscope = _size(_angles(window, lambda look: look.yaw, p.per), p.absolute)
+    y_magnetic = _size(_angles(window, lambda look: look.yaw - azimuth(look.field), p.per), p.absolute)
+    t = _mean_or_energy(y_strength, "mean") / p.sigma_strength**2
+    t = t + (_mean_or_energy(y_gyroscope, "mean") + _mean_or_energy(y_magnetic, "mean")) / p.sigma_heading**2
+    return log_positive(t) - jnp.log(p.threshold)
+
+
+def _ma(p: Ma, window: Window, north: Array) -> Array:
+    if p.theta == "rate":
+        y_heading = _angles(window, lambda look: -azimuth(look.field), p.per)
+    else:
+        y_heading = [rotations.wrap(north - azimuth(look.field)) for look in window[1:]]
+    y_inclination = _changes(window, lambda look: inclination(look.field), p.per)
+    y_strength = _changes(window, lambda look: strength(look.field), p.per)
+    channels = (
+        (y_heading, p.sigma_heading),
+        (y_inclination, p.sigma_inclination),
+        (y_strength, p.sigma_strength),
+    )
+    t = add(_mean_or_energy(_size(y, p.absolute), p.form) / sigma**2 for y, sigma in channels)
+    return log_positive(t) - jnp.log(p.threshold)
+
+
+def _vector(p: Vector, window: Window, north: Array) -> Array:
+    field = add(look.field for look in window) / len(window)
+    across = rotations.skew(field)
+    turned = jnp.ones_like(field) * p.sigma_tilt**2 * constant(np.array([1.0, 1.0, 0.0]), field[0])
+    turned = turned + p.sigma_yaw**2 * constant(np.array([0.0, 0.0, 1.0]), field[0])
+    noise = 2 * p.sigma_field**2
+    spread = noise * eye(3, field[0]) + matmul_t(across * turned[None], across)
+    lower = cholesky(spread)
+    worst = None
+    for before, after in pairwise(window):
+        white = forward_substitution(lower, after.field - before.field)
+        energy = add(x * x for x in white)
+        worst = energy if worst is None else jnp.maximum(worst, energy)
+    assert worst is not None
+    square = dot(field, field)  # no direction has a larger variance than this
+    largest = noise + square * jnp.maximum(p.sigma_tilt, p.sigma_yaw) ** 2
+    return log_positive(worst) - jnp.log(noncentral_quantile(p.false_alarm, 3.0, p.change**2 / largest))
+
+
+def noncentral_quantile(probability: Array, degrees: float, noncentrality: Array) -> Array:
+    """The value below which a noncentral χ² stays with that probability (Sankaran's cube-root
+    approximation, inverted; within 2 % between 1 and 99 %), smooth in all three."""
+    total, double = degrees + noncentrality, degrees + 2 * noncentrality
+    h = 1 - 2 / 3 * total * (degrees + 3 * noncentrality) / double**2
+    q = double / total**2
+    m = (h - 1) * (1 - 3 * h)
+    middle = 1 + h * q * (h - 1 - 0.5 * (2 - h) * m * q)
+    width = h * jnp.sqrt(2 * q) * (1 + 0.5 * m * q)
+    return total * jnp.maximum(middle + width * normal_quantile(probability), 1e-3) ** (1 / h)
+
+
+def normal_quantile(probability: Array) -> Array:
+    """The standard normal's quantile."""
+    from jax.scipy.special import ndtri
+
+    return ndtri(probability)
+
+
+FIELD_DETECTORS: dict[str, Callable[[Any, Window, Array], Array]] = {
+    "qsf": _qsf, "qmd": _qsf, "magyq": _magyq, "iqsf": _iqsf, "ma": _ma, "vector": _vector,
+}  # fmt: skip
+"""`(parameters, window, north) -> log of statistic over threshold (*L)`."""
+
+
+@parameters
+class FieldParameters:
+    """Which detector is on, its window in steps (or samples), and the numbers of all of them."""
+
+    detector: str = setting("ma", choices=tuple(FIELD_DETECTORS), source=_MA)
+    window: int = setting(3, source=f"{_MA}: N = 3 steps")
+    width: Array = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: the published hard test")
+    straight_through: bool = setting(False, source=_KIT)
+    qsf: Qsf = group(Qsf)
+    qmd: Qmd = group(Qmd)
+    magyq: Magyq = group(Magyq)
+    iqsf: Iqsf = group(Iqsf)
+    ma: Ma = group(Ma)
+    vector: Vector = group(Vector)
+
+
+def log_ratio(p: FieldParameters, window: Window, north: Array) -> Array:
+    """Log of the chosen detector's statistic over its threshold, `(*L)`; negative where quasi-static.
+
+    `north` rad is the azimuth at which the horizontal field points where nothing disturbs it.
+    """
+    return FIELD_DETECTORS[p.detector](getattr(p, p.detector), window, north)

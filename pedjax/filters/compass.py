@@ -1,0 +1,136 @@
+"""When a foot looks at the magnetic field, and how well it then knows its heading.
+
+A foot looks once in each stance, when it has stood for a moment (or, as an option, at every still sample),
+and keeps the last N + 1 looks. Everything is causal, and a state of fixed size.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from pedjax import rotations
+from pedjax.detectors.field import Look, Window, inclination
+from pedjax.filters.strapdown import Navigation
+from pedjax.lanes import matvec
+from pedjax.parameters import leaf, parameters, setting
+
+_KIT = "kit choice"
+_MA = "Ma 2018"
+_DEGREE = 0.017453292519943295
+
+
+@parameters
+class Level:
+    """Calibration of the levelled field by a walked loop (Ma 2018, Eq. 6-12): W (m − o), W symmetric."""
+
+    offset_x: Array = leaf(0.0, unit="uT", low=-200.0, high=200.0, scale="linear", source="0: calibrated")
+    offset_y: Array = leaf(0.0, unit="uT", low=-200.0, high=200.0, scale="linear", source="0: calibrated")
+    xx: Array = leaf(1.0, unit="1", low=0.1, high=10.0, source="1: calibrated")
+    xy: Array = leaf(0.0, unit="1", low=-3.0, high=3.0, scale="linear", source="0: calibrated")
+    yy: Array = leaf(1.0, unit="1", low=0.1, high=10.0, source="1: calibrated")
+
+
+@parameters
+class Looking:
+    """When the field is looked at, and what levels it."""
+
+    per: str = setting("step", choices=("step", "sample"), source=_MA)
+    dwell_s: float = setting(0.12, source=f"{_KIT}: stillness in a stance before its look")
+    gap_s: float = setting(0.15, source=f"{_KIT}: movement that ends a stance")
+    levelling: str = setting("force", choices=("force", "attitude"), source=f"{_MA}: Eq. 3-5; attitude: kit")
+
+
+class Looks(NamedTuple):
+    """What is remembered: `total (3, *L)` and `seconds` of the field in this stance so far, for how long the
+    foot has been `moving`, whether this stance has been `used`, the `time`, the last looks in `window`, and
+    how `many` there are."""
+
+    total: Array
+    seconds: Array
+    moving: Array
+    used: Array
+    time: Array
+    window: Window
+    many: Array
+
+
+def first(like: Array, steps: int) -> Looks:
+    """Nothing seen yet; `like (*L)` is zeros."""
+    none = Look(jnp.zeros((3, *like.shape), like.dtype), like, like)
+    return Looks(none.field, like, like, like, like, (none,) * (steps + 1), like)
+
+
+def levelled(nav: Navigation, force: Array, mag: Array, level: Level, how: str) -> Array:
+    """The field `(3, *L)` in navigation axes: turned by the attitude, or by roll and pitch of the specific
+    force and the attitude's yaw; with the levelled calibration in between."""
+    yaw = rotations.to_euler(nav.attitude)[2]
+    if how == "force":
+        roll, pitch = rotations.tilt(force)
+        flat = matvec(rotations.from_euler(roll, pitch, jnp.zeros_like(roll)), mag)
+    else:
+        c, s = jnp.cos(yaw), jnp.sin(yaw)
+        whole = matvec(nav.attitude, mag)
+        flat = jnp.stack([c * whole[0] + s * whole[1], c * whole[1] - s * whole[0], whole[2]])
+    x, y = flat[0] - level.offset_x, flat[1] - level.offset_y
+    x, y = level.xx * x + level.xy * y, level.xy * x + level.yy * y
+    c, s = jnp.cos(yaw), jnp.sin(yaw)
+    return jnp.stack([c * x - s * y, s * x + c * y, flat[2] + 0 * x])
+
+
+def look(
+    p: Looking, level: Level, state: Looks, nav: Navigation, force: Array, mag: Array, dt: Array, still: Array
+) -> tuple[Looks, Array]:
+    """Gather the field while the foot is `still (*L)`; returns the state and whether it looked just now
+    `(*L)`, 0 or 1."""
+    here = levelled(nav, force, mag, level, p.levelling)
+    moving = jnp.where(still > 0.5, 0.0, state.moving + dt)
+    over = (moving > p.gap_s) | (p.per == "sample")
+    total = jnp.where(over, 0.0, state.total) + still * dt * here
+    seconds = jnp.where(over, 0.0, state.seconds) + still * dt
+    used = jnp.where(over, 0.0, state.used)
+    enough = (still > 0.5) if p.per == "sample" else (seconds >= p.dwell_s)
+    now = jnp.where(enough & (used < 0.5) & (dt > 0), 1.0, 0.0)
+    time = state.time + dt
+    mean = total / jnp.maximum(seconds, 1e-6)
+    seen = Look(mean, rotations.to_euler(nav.attitude)[2], time)
+    shifted = (*state.window[1:], seen)
+    window = tuple(
+        Look(*(jnp.where(now > 0, new, old) for new, old in zip(a, b, strict=True)))
+        for a, b in zip(shifted, state.window, strict=True)
+    )
+    return Looks(total, seconds, moving, jnp.maximum(used, now), time, window, state.many + now), now
+
+
+def turned(state: Looks, correction: Array) -> Looks:
+    """The same looks seen with a corrected attitude, so that the next change is the gyroscope's alone."""
+    turn = rotations.exp(correction)
+    window = tuple(Look(matvec(turn, x.field), x.yaw + correction[2], x.time) for x in state.window)
+    return state._replace(window=window, total=matvec(turn, state.total))
+
+
+@parameters
+class HeadingNoise:
+    """How far a magnetic heading is trusted: (σ_m/H)² for the sensor, (tan I · σ_tilt)² for the tilt, the
+    floor, and what an odd field adds: where strength or inclination are not the reference's, neither is the
+    direction. Ma prints no heading noise."""
+
+    floor: Array = leaf(2 * _DEGREE, unit="rad", low=1e-4, high=3.2, source=_KIT)
+    field: Array = leaf(0.3, unit="uT", low=1e-4, high=100.0, source=_KIT)
+    tilt: Array = leaf(0.5 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=_KIT)
+    oddity: Array = leaf(0.0, unit="1", low=0.0, high=100.0, scale="linear", source="0: published")
+
+
+def heading_sigma(p: HeadingNoise, field: Array, reference: Array) -> Array:
+    """Standard deviation `(*L)` rad of the heading of a field `(3, *L)`, finite where there is none.
+
+    `reference (2, *L)` is the strength in µT and the inclination in rad of an undisturbed field.
+    """
+    level = field[0] ** 2 + field[1] ** 2 + 1e-6
+    size = level + field[2] ** 2
+    steep = field[2] ** 2 / level
+    odd = (jnp.sqrt(size) / reference[0] - 1) ** 2 + (inclination(field) - reference[1]) ** 2
+    square = p.floor**2 + p.field**2 / level + steep * p.tilt**2 + p.oddity**2 * odd
+    return jnp.sqrt(square)
