@@ -169,6 +169,12 @@ def replace(tree: P, new: Mapping[str, Any], origin: str = "parameters") -> P:
     return with_leaves(tree, checked)
 
 
+def within(tree: Any, new: Mapping[str, float]) -> dict[str, float]:
+    """The values moved to the nearest bound of their paths where they lie outside."""
+    known = specs(tree)
+    return {path: float(np.clip(value, known[path].low, known[path].high)) for path, value in new.items()}
+
+
 def _checked_leaf(path: str, value: Any, spec: Spec, origin: str) -> float:
     if isinstance(value, bool | str) or not np.isscalar(value):
         raise InputError(f"{origin}: {path} = {value!r} is not a number; its unit is {spec.unit}")

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
 
 from pedjax.errors import InputError
 from pedjax.readers import read
 from pedjax.recording import Recording
+from pedjax.simulation.motion import Motion
 from pedjax.simulation.scenarios import scenarios
-from pedjax.simulation.world import simulate
+from pedjax.simulation.world import SensorTruth, Simulated, simulate
 
 
 def is_made(name: str) -> bool:
@@ -21,12 +25,15 @@ def is_made(name: str) -> bool:
 def read_any(name: str | os.PathLike[str], config: str | None = None, sensor: str | None = None) -> Recording:
     """A file, or `SCENARIO:SEED`."""
     name = os.fspath(name)
-    if is_made(name):
-        scenario, _, seed = name.partition(":")
-        if not (seed or "0").isdigit():
-            raise InputError(f"'{name}': the seed of a made walk is a whole number, as in {scenario}:3")
-        return simulate(scenario, int(seed or "0")).recording
-    return read(name, config=config, sensor=sensor)
+    return made(name).recording if is_made(name) else read(name, config=config, sensor=sensor)
+
+
+def made(name: str) -> Simulated:
+    """A walk that the package makes, with all that is true of it."""
+    scenario, _, seed = name.partition(":")
+    if not (seed or "0").isdigit():
+        raise InputError(f"'{name}': the seed of a made walk is a whole number, as in {scenario}:3")
+    return simulate(scenario, int(seed or "0"))
 
 
 def read_all(
@@ -34,3 +41,47 @@ def read_all(
 ) -> list[Recording]:
     """All of them, in order."""
     return [read_any(name, config, sensor) for name in names]
+
+
+def read_labelled(
+    name: str | os.PathLike[str], config: str | None = None, sensor: str = "foot"
+) -> tuple[Recording, SensorTruth]:
+    """A recording and what is true of one of its sensors: a made walk, or a file that `pedjax simulate` wrote
+    with its truth beside it."""
+    name = os.fspath(name)
+    if is_made(name):
+        walk = made(name)
+        if sensor not in walk.truth:
+            raise InputError(f"{name}: has no sensor '{sensor}', but {', '.join(walk.truth)}")
+        return walk.recording, walk.truth[sensor]
+    recording, path = read(name, config=config), Path(name)
+    stem = path.name.removesuffix(".gz").removesuffix(".csv")
+    return recording, _truth_of(path.with_name(f"{stem}.truth.npz"), recording, sensor)
+
+
+_REMEDY = (
+    "name a made walk, as office-loop:0, or a file that 'pedjax simulate' wrote with its truth beside it"
+)
+
+
+def _truth_of(beside: Path, recording: Recording, sensor: str) -> SensorTruth:
+    """The truth that `pedjax simulate` writes."""
+    if not beside.exists():
+        raise InputError(
+            f"{recording.name}: an ROC of field detectors needs the true field at the foot, and there is no "
+            f"{beside.name} beside it; {_REMEDY}"
+        )
+    try:
+        with np.load(beside) as file:
+            motion = Motion(*(file[f"{sensor}_{name}"] for name in Motion._fields))
+            own = [x for x in SensorTruth._fields if x not in ("time", "motion")]
+            given = {name: file[f"{sensor}_{name}"] for name in own}
+    except KeyError as error:
+        raise InputError(f"{beside}: has no {error.args[0]}; repeat 'pedjax simulate'") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{beside}: cannot be read ({error}); repeat 'pedjax simulate'") from None
+    truth = SensorTruth(time=motion.time, motion=motion, **given)
+    stamps = recording.sensors[sensor].gyroscope.time if sensor in recording.sensors else truth.time
+    if stamps[0] < truth.time[0] - 0.1 or stamps[-1] > truth.time[-1] + 0.1:
+        raise InputError(f"{beside}: ends before {recording.name} does; it belongs to another walk")
+    return truth

@@ -1,4 +1,4 @@
-"""ROC of a stance detector over recordings, with labels from the true velocity."""
+"""ROC of stance detectors over recordings, with labels from the true velocity."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from pedjax import parameters
 from pedjax.detectors import stance
 from pedjax.errors import InputError
-from pedjax.evaluation.roc import Roc, roc
+from pedjax.evaluation.resampling import Labelled
+from pedjax.evaluation.roc import Reached, Roc, Wanted, roc
 from pedjax.packing import nominal_rate
 from pedjax.recording import Inertial, Recording
 
@@ -43,11 +44,11 @@ def still_labels(recording: Recording, imu: Inertial, below: float = 0.1, smooth
     return Labels(speed < below, inside & ~in_gap)
 
 
-def detector_roc(params: Any, detector: str, samples: Sequence[Inertial], labels: Sequence[Labels]) -> Roc:
-    """ROC of a detector, with the window and sigmas of `params.stance`, over all labelled samples."""
+def statistics(params: Any, detector: str, samples: Sequence[Inertial]) -> list[np.ndarray]:
+    """A detector's statistic at each sample, with the window and sigmas of `params.stance`."""
     chosen = parameters.replace(params, {"stance.detector": detector}).stance
     dtype = jnp.result_type(float)
-    found = [
+    return [
         np.asarray(
             stance.statistic(
                 parameters.cast(chosen, dtype),
@@ -59,5 +60,36 @@ def detector_roc(params: Any, detector: str, samples: Sequence[Inertial], labels
         )
         for s in samples
     ]
-    kept = [statistic[label.known] for statistic, label in zip(found, labels, strict=True)]
-    return roc(np.concatenate(kept), np.concatenate([label.still[label.known] for label in labels]))
+
+
+def labelled(
+    params: Any, detectors: Sequence[str], samples: Sequence[Inertial], labels: Sequence[Labels]
+) -> Labelled:
+    """The statistics of detectors at all samples with truth."""
+    found = {
+        name: [x[y.known] for x, y in zip(statistics(params, name, samples), labels, strict=True)]
+        for name in detectors
+    }
+    still = [y.still[y.known] for y in labels]
+    return Labelled(found, still, {"all": [np.full(len(y), True) for y in still]})
+
+
+def detector_roc(params: Any, detector: str, samples: Sequence[Inertial], labels: Sequence[Labels]) -> Roc:
+    """ROC of a detector over all labelled samples."""
+    given = labelled(params, [detector], samples, labels)
+    return roc(np.concatenate(given.statistic[detector]), np.concatenate(given.label))
+
+
+def at_point(params: Any, detector: str, curve: Roc, wanted: Wanted) -> Reached:
+    """A detector at an operating point of its ROC, as far as its bounds let it. EPS has five thresholds,
+    which go together."""
+    own, threshold = f"stance.{detector}", curve.at(wanted)
+    if detector == "eps":
+        names = [path for path in parameters.specs(params) if path.startswith(f"{own}.")]
+        values = {path: threshold * float(parameters.get(params, path)) for path in names}
+        inside = parameters.within(params, values)
+    else:
+        inside = parameters.within(params, {f"{own}.threshold": threshold})
+        threshold = inside[f"{own}.threshold"]
+    reached = curve.detection_at(threshold), curve.false_alarm_at(threshold)
+    return Reached({"stance.detector": detector, **inside}, *reached)

@@ -51,10 +51,10 @@ class System(NamedTuple):
     """A published estimator.
 
     `defaults()` gives its parameters; `prepare(parameters, signals, rate_hz, length)` its `Inputs`, from the
-    settings alone (samples from `length` on are padding, with dt = 0);
-    `tunable(parameters)` the paths that tuning and sweeps vary unless told otherwise;
-    `start(parameters, opening)` the first state; and `step(parameters, state, sample)` the next state and an
-    `Output`. The last three are pure and take leaves with any trailing lanes.
+    settings alone (samples from `length` on are padding, with dt = 0); `tunable(parameters)` the paths that
+    tuning and sweeps vary unless told otherwise; `start(parameters, opening)` the first state, which has a
+    `navigation` and a `healthy`; and `step(parameters, state, sample)` the next state and an `Output`. The
+    last three are pure and take leaves with any trailing lanes.
     """
 
     name: str

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
@@ -14,7 +13,6 @@ from pedjax.calibration.fitting import Fit
 from pedjax.calibration.magnetometer import Calibration, uncalibrated
 from pedjax.errors import InputError, suggest
 from pedjax.output import plain, write_toml
-from pedjax.recording import Recording, Stream
 
 _SHAPES = {"hard_iron": (3,), "matrix": (3, 3), "level_offset": (2,), "level_matrix": (2, 2)}
 _TOLD = ("method", "reason", "source", "sensor", "recorded", "field_ut", "warnings", "diagnostics")
@@ -80,19 +78,3 @@ def _array(path: Path, name: str, value: Any) -> np.ndarray:
     if len(shape) == 2 and not np.linalg.cond(found) < 1e6:
         raise InputError(f"{path}: {name} is singular, so that it loses the field; calibrate again")
     return found
-
-
-def with_calibration(recording: Recording, calibration: Calibration, sensor: str | None = None) -> Recording:
-    """The recording with the body part applied to its magnetometers, or to that of one sensor. The levelled
-    part is for headings in stance and changes no stream."""
-    if sensor is not None:
-        recording.sensor(sensor)
-    sensors = {}
-    for name, held in recording.sensors.items():
-        if held.magnetometer is not None and sensor in (None, name):
-            values = (held.magnetometer.values - np.asarray(calibration.hard_iron)) @ np.asarray(
-                calibration.matrix
-            ).T
-            held = replace(held, magnetometer=Stream(held.magnetometer.time, values))
-        sensors[name] = held
-    return replace(recording, sensors=sensors)

@@ -13,19 +13,16 @@ import numpy as np
 from tqdm import tqdm
 
 from pedjax import __version__, parameters, plots
-from pedjax.cli import allan, calibrate, simulate, sweeps
-from pedjax.cli.common import configured, say, write_parameters
-from pedjax.config import Config, load, override, resolve, resolved, tune_settings
-from pedjax.detectors.stance import DETECTORS
-from pedjax.errors import InputError, suggest
+from pedjax.cli import allan, calibrate, roc, simulate, sweeps
+from pedjax.cli.common import configured, say, write_metrics, write_parameters
+from pedjax.config import load, override, resolve, resolved, tune_settings
 from pedjax.output import folder, write_figure, write_json, write_table, write_toml
 from pedjax.packing import distinct
-from pedjax.recording import Recording, inertial
+from pedjax.recording import Recording
 from pedjax.running import Track
 from pedjax.running import run as run_system
 from pedjax.scoring import Score, evaluate
 from pedjax.sources import read_all
-from pedjax.stance_roc import detector_roc, still_labels
 from pedjax.tuning import fingerprint, refuse_overlap, split
 from pedjax.tuning import tune as tune_system
 
@@ -104,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
                 out / f"{stem}_stance.png",
                 plots.stance_over_signals(track, recording, config.sensor, config.clock),
             )
-    _metrics(out, config, entries)
+    write_metrics(out, config, entries)
     write_toml(out / "config.toml", resolved(config, params))
     say(f"results in {out}")
     return 0
@@ -168,11 +165,6 @@ def _line(path: str, recording: Recording, track: Track, score: Score | None, tu
     return text
 
 
-def _metrics(out: Path, config: Config, entries: list[dict[str, Any]], **extra: Any) -> None:
-    whole = {"pedjax_version": __version__, "system": config.system, "seed": config.seed}
-    write_json(out / "metrics.json", {**whole, **extra, "recordings": entries})
-
-
 def tune(args: argparse.Namespace) -> int:
     """Tuned parameters, errors before and after, history, pictures."""
     config = configured(args)
@@ -221,7 +213,7 @@ def tune(args: argparse.Namespace) -> int:
             picture = plots.trajectory(track, recording, score, config.alignment, ("before", given_track))
             write_figure(out / f"{stem}_trajectory.png", picture)
     before, after = _summary(tuned.before), _summary(tuned.after)
-    _metrics(
+    write_metrics(
         out, config, entries, loss=settings.loss, before=before, after=after, filter_runs=tuned.runs,
         tuned={n: {"from": float(parameters.get(params, n)), "to": v} for n, v in tuned.values.items()},
     )  # fmt: skip
@@ -274,62 +266,6 @@ def _history(history: list[dict[str, Any]]) -> dict[str, list[Any]]:
     return rows
 
 
-def roc(args: argparse.Namespace) -> int:
-    """ROC of stance detectors; labels from the truth's velocity."""
-    config = configured(args)
-    _, params = resolve(config)
-    out = folder(config.out)
-    names = args.detectors or list(DETECTORS)
-    for name in names:
-        if name not in DETECTORS:
-            raise InputError(f"detector '{name}' is unknown{suggest(name, DETECTORS)}")
-    if not args.still_below > 0:
-        raise InputError(f"--still-below {args.still_below:g} must be a positive speed in m/s")
-    if not 0 < args.false_alarm < 1:
-        raise InputError(f"--false-alarm {args.false_alarm:g} must lie between 0 and 1")
-    recordings = read_all(config.recordings, args.format)
-    samples = [inertial(r, config.sensor, config.clock) for r in recordings]
-    labels = [still_labels(r, i, args.still_below) for r, i in zip(recordings, samples, strict=True)]
-    curves = {name: detector_roc(params, name, samples, labels) for name in names}
-    points = {
-        name: {
-            "auc": curve.auc,
-            "false_alarm": args.false_alarm,
-            "threshold": curve.at_false_alarm(args.false_alarm),
-            "p_detection": curve.detection_at(curve.at_false_alarm(args.false_alarm)),
-        }
-        for name, curve in curves.items()
-    }
-    for name, curve in curves.items():
-        every = max(len(curve.threshold) // 2000, 1)
-        write_table(
-            out / f"roc_{name}.csv",
-            {
-                "threshold": curve.threshold[::every].tolist(),
-                "p_false_alarm": curve.p_false_alarm[::every].tolist(),
-                "p_detection": curve.p_detection[::every].tolist(),
-            },
-        )
-        say(
-            f"{name:6} AUC {curve.auc:.4f}; at {args.false_alarm:.0%} false alarm: threshold "
-            f"{points[name]['threshold']:.4g}, detection {points[name]['p_detection']:.3f}"
-        )
-    entries = [
-        {
-            "path": str(p),
-            "duration_s": r.duration,
-            "labelled_fraction": float(x.known.mean()),
-            "still_fraction": float(x.still[x.known].mean()),
-        }
-        for p, r, x in zip(config.recordings, recordings, labels, strict=True)
-    ]
-    _metrics(out, config, entries, roc=points, still_below_m_per_s=args.still_below)
-    if config.figures:
-        write_figure(out / "roc.png", plots.roc_curve(curves))
-    say(f"results in {out}")
-    return 0
-
-
 def show_parameters(args: argparse.Namespace) -> int:
     """The parameters of a system as a table."""
     config = load(*args.config)
@@ -349,6 +285,6 @@ COMMANDS = {
     "calibrate": calibrate.calibrate,
     "sweep": sweeps.sweep,
     "sweep-report": sweeps.sweep_report,
-    "roc": roc,
+    "roc": roc.roc,
     "parameters": show_parameters,
 }

@@ -8,9 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pedjax import __version__, parameters
+from pedjax.calibration import files as calibration_files
 from pedjax.config import Config, load, override, resolved
 from pedjax.errors import InputError
-from pedjax.output import write_toml
+from pedjax.filters.compass import calibrated_by
+from pedjax.output import write_json, write_toml
+from pedjax.systems import system as find_system
 
 
 def configured(args: argparse.Namespace) -> Config:
@@ -29,15 +33,35 @@ def configured(args: argparse.Namespace) -> Config:
         config = replace(config, tune={**config.tune, "names": list(args.names)})
     if args.no_figures:
         config = replace(config, figures=False)
+    if getattr(args, "calibration", None):
+        config = _calibrated(config, args.calibration)
     config = override(config, args.set)
     if not config.recordings:
         raise InputError("no recording was given; name files, or demo:0 for a walk made by the package")
     return config
 
 
+def _calibrated(config: Config, path: str) -> Config:
+    """The config with a calibration file's numbers as parameters."""
+    calibration = calibration_files.read(path)
+    if not find_system(config.system).magnetic:
+        raise InputError(
+            f"--calibration {path}: the system '{config.system}' does not use a magnetometer; choose another "
+            "--system (ma2018)"
+        )
+    new = {f"compass.{name}": value for name, value in calibrated_by(calibration).items()}
+    return replace(config, parameters={**parameters.flatten(config.parameters), **new})
+
+
 def say(*lines: str) -> None:
     """Lines on standard output, at once."""
     print(*lines, sep="\n", flush=True)
+
+
+def write_metrics(out: Path, config: Config, entries: list[dict[str, Any]], **extra: Any) -> None:
+    """`metrics.json`: what was done, and an entry for each recording."""
+    whole = {"pedjax_version": __version__, "system": config.system, "seed": config.seed}
+    write_json(out / "metrics.json", {**whole, **extra, "recordings": entries})
 
 
 def write_parameters(path: Path, config: Config, params: Any, chosen_on: Sequence[str], heading: str) -> None:

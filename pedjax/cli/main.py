@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Sequence
 
 from pedjax import __version__
-from pedjax.cli import allan, calibrate
+from pedjax.cli import allan, calibrate, roc
 from pedjax.errors import InputError
 
 
@@ -45,6 +45,9 @@ def _parser() -> argparse.ArgumentParser:
         "--set", metavar="PATH=VALUE", action="append", default=[],
         help="a parameter, or a tune. or sweep. setting, by its dotted path",
     )  # fmt: skip
+    system.add_argument(
+        "--calibration", metavar="TOML", help="calibration of the magnetometer, as pedjax calibrate writes it"
+    )
     system.add_argument("--clock", choices=("stamps", "uniform", "resample"), help="how to read time stamps")
     system.add_argument("--alignment", help="auto, none, yaw or yaw_translation (default: auto)")
     system.add_argument("--seed", type=int, help="seed of everything random (default: 0)")
@@ -84,14 +87,7 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument(
             "--no-gradient", dest="gradient", action="store_false", help="no slopes at the best set"
         )
-    roc = commands.add_parser(
-        "roc", parents=both, help="ROC of stance detectors against the truth's velocity"
-    )
-    roc.add_argument("--detectors", nargs="+", metavar="NAME", help="default: all six")
-    roc.add_argument("--false-alarm", type=float, default=0.05, help="operating point (default: 0.05)")
-    roc.add_argument(
-        "--still-below", type=float, default=0.1, metavar="M/S", help="speed below which the foot is still"
-    )
+    roc.add_parser(commands, both)
     simulate = commands.add_parser("simulate", help="walk a scenario: sensors with errors, exact truth")
     simulate.add_argument("scenario", nargs="?", metavar="SCENARIO", help="its name, or a TOML file")
     simulate.add_argument("--list", action="store_true", help="the scenarios that come with the package")

@@ -9,6 +9,21 @@ import numpy as np
 from pedjax.errors import InputError
 
 
+class Wanted(NamedTuple):
+    """An operating point: which probability to `keep`, "detection" (no less) or "false_alarm" (no more)."""
+
+    probability: float
+    keep: str = "false_alarm"
+
+
+class Reached(NamedTuple):
+    """Parameters at an operating point, by path, and the probabilities that they reach."""
+
+    parameters: dict[str, float | str]
+    p_detection: float
+    p_false_alarm: float
+
+
 class Roc(NamedTuple):
     """`threshold (N,)` ascending, probability of detection `p_detection (N,)` and of false alarm
     `p_false_alarm (N,)` when still is declared below the threshold, and the area under the curve."""
@@ -32,6 +47,22 @@ class Roc(NamedTuple):
         """The smallest threshold that detects with at least this probability."""
         at = int(np.searchsorted(self.p_detection, probability, "left"))
         return float(self.threshold[min(at, len(self.threshold) - 1)])
+
+    def false_alarm_at(self, threshold: float) -> float:
+        """Probability of false alarm with this threshold."""
+        at = int(np.searchsorted(self.threshold, threshold, "right")) - 1
+        return float(self.p_false_alarm[at]) if at >= 0 else 0.0
+
+    def at(self, wanted: Wanted) -> float:
+        """The threshold at an operating point, a little above the statistic's own value, so that rounding
+        changes no decision."""
+        if wanted.keep == "detection":
+            threshold = self.at_detection(wanted.probability)
+        else:
+            threshold = self.at_false_alarm(wanted.probability)
+        after = int(np.searchsorted(self.threshold, threshold, "right"))
+        room = np.append(self.threshold, np.inf)[after] - threshold
+        return threshold + float(min(room / 2, 1e-5 * abs(threshold)))
 
 
 def roc(statistic: np.ndarray, still: np.ndarray) -> Roc:

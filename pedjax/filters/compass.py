@@ -9,12 +9,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from pedjax import rotations
+from pedjax.calibration.magnetometer import Calibration
 from pedjax.detectors.field import Look, Window, inclination
+from pedjax.filters.measurements import yaw_row
 from pedjax.filters.strapdown import Navigation
-from pedjax.lanes import matvec
+from pedjax.lanes import constant, matvec
 from pedjax.parameters import leaf, parameters, setting
 
 _KIT = "kit choice"
@@ -31,6 +34,45 @@ class Level:
     xx: Array = leaf(1.0, unit="1", low=0.1, high=10.0, source="1: calibrated")
     xy: Array = leaf(0.0, unit="1", low=-3.0, high=3.0, scale="linear", source="0: calibrated")
     yy: Array = leaf(1.0, unit="1", low=0.1, high=10.0, source="1: calibrated")
+
+
+@parameters
+class Body:
+    """Calibration of the magnetometer in body axes, K (m − b): the hard iron b, and the rows of K."""
+
+    hard_x: Array = leaf(0.0, unit="uT", low=-1e3, high=1e3, scale="linear", source="0: calibrated")
+    hard_y: Array = leaf(0.0, unit="uT", low=-1e3, high=1e3, scale="linear", source="0: calibrated")
+    hard_z: Array = leaf(0.0, unit="uT", low=-1e3, high=1e3, scale="linear", source="0: calibrated")
+    xx: Array = leaf(1.0, unit="1", low=0.1, high=10.0, source="1: calibrated")
+    xy: Array = leaf(0.0, unit="1", low=-3.0, high=3.0, scale="linear", source="0: calibrated")
+    xz: Array = leaf(0.0, unit="1", low=-3.0, high=3.0, scale="linear", source="0: calibrated")
+    yx: Array = leaf(0.0, unit="1", low=-3.0, high=3.0, scale="linear", source="0: calibrated")
+    yy: Array = leaf(1.0, unit="1", low=0.1, high=10.0, source="1: calibrated")
+    yz: Array = leaf(0.0, unit="1", low=-3.0, high=3.0, scale="linear", source="0: calibrated")
+    zx: Array = leaf(0.0, unit="1", low=-3.0, high=3.0, scale="linear", source="0: calibrated")
+    zy: Array = leaf(0.0, unit="1", low=-3.0, high=3.0, scale="linear", source="0: calibrated")
+    zz: Array = leaf(1.0, unit="1", low=0.1, high=10.0, source="1: calibrated")
+
+
+def in_body(p: Body, mag: Array) -> Array:
+    """The calibrated field `(3, *L)` in body axes."""
+    x, y, z = mag[0] - p.hard_x, mag[1] - p.hard_y, mag[2] - p.hard_z
+    rows = ((p.xx, p.xy, p.xz), (p.yx, p.yy, p.yz), (p.zx, p.zy, p.zz))
+    return jnp.stack([a * x + b * y + c * z for a, b, c in rows])
+
+
+def calibrated_by(calibration: Calibration) -> dict[str, float]:
+    """A calibration as parameters: paths under `compass.` to values."""
+    hard, matrix = np.asarray(calibration.hard_iron, float), np.asarray(calibration.matrix, float)
+    offset, level = np.asarray(calibration.level_offset, float), np.asarray(calibration.level_matrix, float)
+    axes = "xyz"
+    found = {f"body.hard_{a}": float(hard[i]) for i, a in enumerate(axes)}
+    found |= {f"body.{a}{b}": float(matrix[i, j]) for i, a in enumerate(axes) for j, b in enumerate(axes)}
+    found |= {"level.offset_x": float(offset[0]), "level.offset_y": float(offset[1])}
+    return found | {
+        f"level.{a}{b}": float(level[i, j])
+        for i, j, a, b in ((0, 0, "x", "x"), (0, 1, "x", "y"), (1, 1, "y", "y"))
+    }
 
 
 @parameters
@@ -87,11 +129,12 @@ def look(
     `(*L)`, 0 or 1."""
     here = levelled(nav, force, mag, level, p.levelling)
     moving = jnp.where(still > 0.5, 0.0, state.moving + dt)
-    over = (moving > p.gap_s) | (p.per == "sample")
+    half = 0.5 * dt  # borders between samples, not on them: the same looks in any precision
+    over = (moving > p.gap_s + half) | (p.per == "sample")
     total = jnp.where(over, 0.0, state.total) + still * dt * here
     seconds = jnp.where(over, 0.0, state.seconds) + still * dt
     used = jnp.where(over, 0.0, state.used)
-    enough = (still > 0.5) if p.per == "sample" else (seconds >= p.dwell_s)
+    enough = (still > 0.5) if p.per == "sample" else (seconds + half >= p.dwell_s)
     now = jnp.where(enough & (used < 0.5) & (dt > 0), 1.0, 0.0)
     time = state.time + dt
     mean = total / jnp.maximum(seconds, 1e-6)
@@ -104,10 +147,14 @@ def look(
     return Looks(total, seconds, moving, jnp.maximum(used, now), time, window, state.many + now), now
 
 
-def turned(state: Looks, correction: Array) -> Looks:
-    """The same looks seen with a corrected attitude, so that the next change is the gyroscope's alone."""
+def turned(state: Looks, correction: Array, attitude: Array, how: str) -> Looks:
+    """The same looks seen with an attitude corrected by `correction (3, *L)` rad, so that the next change is
+    the gyroscope's alone. What was levelled by the force turns about up only."""
+    yaw = jnp.sum(yaw_row(attitude)[0] * correction, axis=0)
+    if how == "force":
+        correction = yaw * constant(np.array([0.0, 0.0, 1.0]), yaw)
     turn = rotations.exp(correction)
-    window = tuple(Look(matvec(turn, x.field), x.yaw + correction[2], x.time) for x in state.window)
+    window = tuple(Look(matvec(turn, x.field), x.yaw + yaw, x.time) for x in state.window)
     return state._replace(window=window, total=matvec(turn, state.total))
 
 

@@ -1,7 +1,7 @@
 """Pictures: each function draws one matplotlib figure and returns it."""
 
 from pedjax.plots.recordings import raw_signals
-from pedjax.plots.results import roc_curve, tuning_history
+from pedjax.plots.results import roc_curves, tuning_history
 from pedjax.plots.tracks import stance_over_signals, trajectory
 
-__all__ = ["raw_signals", "roc_curve", "stance_over_signals", "trajectory", "tuning_history"]
+__all__ = ["raw_signals", "roc_curves", "stance_over_signals", "trajectory", "tuning_history"]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from pedjax.evaluation.roc import Roc
+from pedjax.evaluation.resampling import Banded
 
 if TYPE_CHECKING:
     from pedjax.tuning import Tuned
@@ -47,19 +48,28 @@ def tuning_history(tuned: Tuned) -> Figure:
     return figure
 
 
-def roc_curve(curves: dict[str, Roc]) -> Figure:
-    """Detection over false alarm, one curve a detector, log and linear."""
-    figure = Figure(figsize=(9, 4.4), layout="constrained")
-    linear, low = figure.subplots(1, 2)
-    for name, roc in curves.items():
+def roc_curves(curves: Mapping[str, Mapping[str, Banded]]) -> Figure:
+    """Detection over false alarm by part and detector, with 95 % bands, linear and logarithmic."""
+    figure = Figure(
+        figsize=(4.5 * max(len(curves), 2), 4.4 if len(curves) == 1 else 8.4), layout="constrained"
+    )
+    axes = figure.subplots(1, 2)[:, None] if len(curves) == 1 else figure.subplots(2, len(curves))
+    for (part, each), linear, low in zip(curves.items(), axes[0], axes[1], strict=True):
+        for k, (name, found) in enumerate(each.items()):
+            band = found.band
+            for ax in (linear, low):
+                shown = (band.p_false_alarm, band.p_detection, band.low, band.high)
+                alarm, detected, under, over = (np.append(0.0, x) for x in shown)
+                ax.plot(alarm, detected, lw=1.3, color=f"C{k}", label=f"{name}, AUC {found.auc}")
+                ax.fill_between(alarm, under, over, color=f"C{k}", alpha=0.15, lw=0)
+        low.set_xscale("log")
+        low.set_xlim(1e-4, 1)
         for ax in (linear, low):
-            ax.plot(roc.p_false_alarm, roc.p_detection, lw=1.3, label=f"{name}, AUC {roc.auc:.4f}")
-    low.set_xscale("log")
-    low.set_xlim(1e-4, 1)
-    for ax in (linear, low):
-        ax.set_xlabel("probability of false alarm")
-        ax.set_ylabel("probability of detection")
-        ax.set_ylim(0, 1.02)
-        ax.grid(alpha=0.3)
-    linear.legend(fontsize=8, loc="lower right")
+            ax.set_xlabel("probability of false alarm")
+            ax.set_ylabel("probability of detection")
+            ax.set_ylim(0, 1.02)
+            ax.grid(alpha=0.3)
+        linear.legend(fontsize=8, loc="lower right")
+        if len(curves) > 1:
+            linear.set_title(part, fontsize=10)
     return figure

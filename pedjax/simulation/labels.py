@@ -12,8 +12,26 @@ if TYPE_CHECKING:
 
 def stance_middles(stance: np.ndarray) -> np.ndarray:
     """The middle sample of every stance in `(T,)`."""
+    begin, end = stance_edges(stance)
+    return (begin + end) // 2
+
+
+def stance_edges(stance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The first sample of every stance in `(T,)`, and the first after it."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], stance, [False]]).astype(int)))
-    return np.array([(a + b) // 2 for a, b in zip(edges[::2], edges[1::2], strict=True)], int)
+    return edges[::2], edges[1::2]
+
+
+def largest_changes(field: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    """Of the fields `(K, 3)` µT of all stances: by how much, in µT and rad, the field and its horizontal
+    direction changed at most in one of the last `steps` steps, `(K,)` each; inf in the first ones."""
+    moved = np.linalg.norm(np.diff(field, axis=0), axis=1)
+    heading = np.abs(np.diff(np.unwrap(np.arctan2(field[:, 1], field[:, 0]))))
+    found = np.full((2, len(field)), np.inf)
+    if len(field) > steps:
+        both = np.stack([moved, heading])
+        found[:, steps:] = np.lib.stride_tricks.sliding_window_view(both, steps, axis=1).max(axis=2)
+    return found[0], found[1]
 
 
 def quasi_static(
@@ -29,11 +47,5 @@ def quasi_static(
     The first `steps` stances have no whole window and are not quasi-static.
     """
     middles = stance_middles(truth.stance)
-    field = truth.magnetic_field[middles]
-    moved = np.linalg.norm(np.diff(field, axis=0), axis=1)
-    heading = np.unwrap(np.arctan2(field[:, 1], field[:, 0]))
-    calm = (moved < field_uT) & (np.abs(np.diff(heading)) < np.radians(heading_deg))
-    label = np.zeros(len(middles), bool)
-    for k in range(steps, len(middles)):
-        label[k] = calm[k - steps : k].all()
-    return truth.time[middles], label
+    moved, heading = largest_changes(truth.magnetic_field[middles], steps)
+    return truth.time[middles], (moved < field_uT) & (heading < np.radians(heading_deg))

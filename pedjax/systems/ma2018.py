@@ -13,18 +13,21 @@ look.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
 from pedjax import rotations
 from pedjax.detectors import field as detectors
 from pedjax.filters import compass, covariance, measurements
-from pedjax.filters.compass import HeadingNoise, Level, Looking, Looks
+from pedjax.filters.compass import Body, HeadingNoise, Level, Looking, Looks
+from pedjax.filters.strapdown import Navigation
 from pedjax.gates import gate
-from pedjax.lanes import align, lane_shape, matmul
+from pedjax.lanes import align, constant, lane_shape, matmul
 from pedjax.parameters import group, leaf, parameters, setting
 from pedjax.system import Inputs, Output, Signals, System
 from pedjax.systems import iez
@@ -51,6 +54,7 @@ class Compass:
     strength: Array = leaf(48.0, unit="uT", low=10.0, high=100.0, source=f"{_KIT}: mid-latitudes")
     inclination: Array = leaf(1.1, unit="rad", low=-1.6, high=1.6, scale="linear", source=_KIT)
     looking: Looking = group(Looking)
+    body: Body = group(Body)
     level: Level = group(Level)
     noise: HeadingNoise = group(HeadingNoise)
 
@@ -89,6 +93,16 @@ class State(NamedTuple):
     reference: Array
     before: Array
 
+    @property
+    def navigation(self) -> Navigation:
+        """The estimate."""
+        return self.inertial.navigation
+
+    @property
+    def healthy(self) -> Array:
+        """Whether all was finite."""
+        return self.inertial.healthy
+
 
 def prepare(p: Ma2018Parameters, signals: Signals, rate_hz: float, length: ArrayLike | None = None) -> Inputs:
     """IEZ's, with the field beside it."""
@@ -109,7 +123,7 @@ def start(p: Ma2018Parameters, opening: Opening) -> State:
     inertial = iez.start(p, opening.force)
     like = jnp.zeros(lane_shape(p, opening.force[0]), opening.force.dtype)
     force = align(opening.force, 1, like.ndim) + 0 * like
-    mag = align(opening.field, 1, like.ndim) + 0 * like
+    mag = compass.in_body(p.compass.body, align(opening.field, 1, like.ndim) + 0 * like)
     nav = inertial.navigation
     seen = compass.levelled(nav, force, mag, p.compass.level, "force")
     if p.compass.start == "field":
@@ -132,12 +146,18 @@ def step(p: Ma2018Parameters, state: State, sample: Sample) -> tuple[State, Outp
     """IEZ's step; a look, and an update as far as the field is quasi-static."""
     inertial, output = iez.step(p, state.inertial, sample.inertial)
     nav, P, lanes = inertial.navigation, inertial.P, output.stance.ndim
-    dt, mag = align(sample.inertial.dt, 0, lanes), align(sample.field, 1, lanes)
+    dt = align(sample.inertial.dt, 0, lanes)
+    mag = compass.in_body(p.compass.body, align(sample.field, 1, lanes))
     force, rate = (align(x, 1, lanes) for x in (sample.inertial.force, sample.inertial.rate))
     q, north = p.compass, north_of(p.compass)
 
     specific = force - nav.accelerometer_bias
-    looks, now = compass.look(q.looking, q.level, state.looks, nav, specific, mag, dt, output.stance)
+    same = q.update in (
+        "anchored",
+        "differential",
+    )  # what a field tells of the tilt: levelled by the attitude
+    looking = replace(q.looking, levelling="attitude") if same else q.looking
+    looks, now = compass.look(looking, q.level, state.looks, nav, specific, mag, dt, output.stance)
     seen = looks.window[-1]
     ratio = detectors.log_ratio(p.field, looks.window, north)
     whole = jnp.where(looks.many > p.field.window, 1.0, 0.0)
@@ -146,9 +166,9 @@ def step(p: Ma2018Parameters, state: State, sample: Sample) -> tuple[State, Outp
     anchor = jnp.where(begins, looks.window[0].field, state.anchor)
     sigma = compass.heading_sigma(q.noise, seen.field, state.reference)
     innovation = rotations.wrap(north - detectors.azimuth(seen.field))
-    if q.update in ("heading", "none"):
+    if not same:
         if q.row == "simple":
-            row = jnp.zeros_like(seen.field).at[2].set(1.0)[None]
+            row = (constant(np.array([0.0, 0.0, 1.0]), innovation) + 0 * seen.field)[None]
         elif q.looking.levelling == "force":
             row = measurements.yaw_row(nav.attitude)
         else:
@@ -163,13 +183,14 @@ def step(p: Ma2018Parameters, state: State, sample: Sample) -> tuple[State, Outp
     weight = jnp.minimum(weight, 1.0) * (0.0 if q.update == "none" else 1.0)
     P, correction = covariance.update(P, rows, weight)
     nav = measurements.correct(nav, correction)
-    looks = compass.turned(looks, correction["t"])
+    looks = compass.turned(looks, correction["t"], nav.attitude, looking.levelling)
     quasi = jnp.where(now > 0, quasi, state.quasi)
     if q.gyroscope_rows:
         noises = (q.noise.field, p.process.gyroscope / jnp.sqrt(jnp.maximum(dt, 1e-6)))
         turn = measurements.field_rate(nav, rate, state.before, mag, dt, noises)
         P, correction = covariance.update(P, turn, quasi * output.stance * (dt > 0))
         nav = measurements.correct(nav, correction)
+        looks = compass.turned(looks, correction["t"], nav.attitude, looking.levelling)
     reference = state.reference
     if q.reference == "running":
         share = now / jnp.minimum(looks.many + 1.0, 50.0)

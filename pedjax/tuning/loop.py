@@ -13,7 +13,6 @@ import numpy as np
 import optax
 
 from pedjax import parameters
-from pedjax.detectors.stance import DETECTORS
 from pedjax.ensemble import LOSSES, Problem, losses, walks_for
 from pedjax.errors import InputError
 from pedjax.evaluation.landmarks import ALIGNMENTS
@@ -107,7 +106,7 @@ def tune(
     training, validation = _part(len(walks), settings)
     problem = Problem(chosen, settings.loss, settings.alignment)
     with double_precision():
-        hard = parameters.cast(parameters.replace(params, {"gate.width": 0.0}), float)
+        hard = parameters.cast(gated(params, 0.0), float)
         everything = pack(chosen, hard, walks)
         search = _Search(problem, settings, specs, hard, walks, training, validation)
         best = search.run(progress)
@@ -128,6 +127,22 @@ def tune(
         )
 
 
+def gate_widths(params: Any) -> list[str]:
+    """Paths of the widths of all soft gates: those with a `straight_through` beside them."""
+    settings = parameters.choices(params)
+    paths = (path.removesuffix("straight_through") for path in settings if path.endswith("straight_through"))
+    return [f"{path}width" for path in paths]
+
+
+def gated(params: Any, width: float, straight_through: bool | None = None) -> Any:
+    """The same parameters with every gate that soft (0: hard)."""
+    changes: dict[str, Any] = dict.fromkeys(gate_widths(params), width)
+    if straight_through is not None:
+        siblings = (path.removesuffix("width") + "straight_through" for path in gate_widths(params))
+        changes |= dict.fromkeys(siblings, straight_through)
+    return parameters.replace(params, changes)
+
+
 _LIMITS = (
     ("iterations", 1, 1e6), ("starts", 1, 1e4), ("check_every", 1, 1e6), ("spread", 0, 20), ("grid", 0, 1e4),
     ("width", 1e-3, 5), ("learning_rate", 1e-6, 10), ("clip", 1e-9, 1e9), ("validation", 0, 0.9),
@@ -136,18 +151,21 @@ _LIMITS = (
 
 
 def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
-    known = parameters.specs(params)
+    known, options = parameters.specs(params), parameters.choices(params)
     if not settings.names:
         raise InputError("no parameter to tune was named; give dotted paths such as stance.shoe.threshold")
     for name in settings.names:
         if name not in known:
             parameters.get(params, name)  # raises with a suggestion where the path is unknown
             raise InputError(f"'{name}' is a setting, not a number that can be tuned")
-        if name == "gate.width":
-            raise InputError("gate.width cannot be tuned: errors are judged on the hard gate; set tune.width")
-        _, group, *_ = [*name.split("."), ""]
-        if group in DETECTORS and group != params.stance.detector:
-            raise InputError(f"'{name}' has no effect: stance.detector is '{params.stance.detector}'")
+        if name in gate_widths(params):
+            raise InputError(f"{name} cannot be tuned: errors are judged on the hard gate; set tune.width")
+        kind, group, *_ = [*name.split("."), ""]
+        detector = options.get(f"{kind}.detector")
+        if detector is not None and group in detector.choices:
+            chosen = parameters.get(params, f"{kind}.detector")
+            if group != chosen:
+                raise InputError(f"'{name}' has no effect: {kind}.detector is '{chosen}'")
         if name in ADAPTIVE and params.gate.kind != "adaptive":
             raise InputError(f"'{name}' has no effect: gate.kind is '{params.gate.kind}', not 'adaptive'")
     if settings.loss not in LOSSES:
@@ -186,8 +204,7 @@ class _Search:
         validation: Sequence[int],
     ) -> None:
         self.problem, self.settings, self.specs, self.params = problem, settings, specs, params
-        soft = {"gate.width": settings.width, "gate.straight_through": settings.straight_through}
-        self.soft = parameters.cast(parameters.replace(params, soft), float)
+        self.soft = parameters.cast(gated(params, settings.width, settings.straight_through), float)
         self.batch = pack(problem.system, params, [walks[i] for i in training])
         self.check = pack(problem.system, params, [walks[i] for i in validation]) if validation else None
         self.share = len(training) / len(walks)
@@ -297,7 +314,7 @@ def _report(
     problem: Problem, names: tuple[str, ...], parts: Mapping[str, tuple[list[str], Batch]], params: Any
 ) -> dict[str, dict[str, float]]:
     """Hard-gate loss of every recording."""
-    hard = parameters.cast(parameters.replace(params, {"gate.width": 0.0}), float)
+    hard = parameters.cast(gated(params, 0.0), float)
     values = {n: jnp.asarray([parameters.get(params, n)], float) for n in names}
     report = {}
     for part, (labels, batch) in parts.items():

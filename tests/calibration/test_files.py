@@ -5,7 +5,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from pedjax.calibration import apply, clouds, files, fitting, uncalibrated
+from pedjax.calibration import clouds, files, fitting
 from pedjax.cli.main import main
 from pedjax.errors import InputError
 from pedjax.readers import write_csv
@@ -84,21 +84,6 @@ def test_no_file(tmp_path):
 def recording(imu, name="walk", others=()):
     streams = [Stream(imu.time, x) for x in (imu.specific_force, imu.angular_rate, imu.magnetic_field)]
     return Recording(name, {key: Sensor(*streams) for key in ("foot", *others)})
-
-
-def test_a_calibrated_recording(fit):
-    before = recording(walk(), others=("hand",))
-    after = files.with_calibration(before, fit.calibration)
-    only = files.with_calibration(before, fit.calibration, "hand")
-    expected = apply(fit.calibration, before.sensor("foot").magnetometer.values)
-    np.testing.assert_allclose(after.sensor("foot").magnetometer.values, expected, rtol=1e-12)
-    np.testing.assert_allclose(only.sensor("hand").magnetometer.values, expected, rtol=1e-12)
-    assert only.sensor("foot") is before.sensor("foot")
-    assert after.sensor("foot").gyroscope is before.sensor("foot").gyroscope
-    same = files.with_calibration(before, uncalibrated()).sensor("foot").magnetometer.values
-    np.testing.assert_array_equal(same, before.sensor("foot").magnetometer.values)
-    with pytest.raises(InputError, match="no sensor 'hip'"):
-        files.with_calibration(before, fit.calibration, "hip")
 
 
 def rows(path, *columns):

@@ -1,0 +1,419 @@
+"""Ma 2018 against IEZ and against a dense filter with its own looks and decisions, over simulated walks."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pedjax
+from pedjax import filtering, parameters
+from pedjax.detectors.field import Look, log_ratio
+from pedjax.ensemble import Problem, losses
+from pedjax.errors import InputError
+from pedjax.packing import pack, prepare, walk
+from pedjax.recording import Stream
+from pedjax.simulation.footsteps import Leg
+from pedjax.simulation.scenarios import Scenario
+from pedjax.simulation.world import simulate
+from pedjax.systems import SYSTEMS
+from tests.reference import field as naive
+from tests.reference import filter as dense
+
+MA, IEZ = SYSTEMS["ma2018"], SYSTEMS["iez"]
+NAMES = {
+    "position": "p",
+    "velocity": "v",
+    "attitude": "C",
+    "gyroscope_bias": "b_g",
+    "accelerometer_bias": "b_a",
+}
+BETWEEN = {"compass.looking.dwell_s": 0.12, "compass.looking.gap_s": 0.15}
+"""Times between two samples at 100 Hz, so that no rounding decides when a foot looks."""
+UNSURE = {"initial.attitude": 0.02, "initial.gyroscope_bias": 0.01, "process.gyroscope": 2e-3, **BETWEEN}
+"""Errors large enough for every part of a row to matter."""
+
+
+def scenario(kind, **field):
+    """Three sides of a rectangle, forty seconds."""
+    return Scenario(
+        name=kind,
+        rate_hz=100.0,
+        standing_s=2.0,
+        legs=(Leg(points=((0.0, 0.0), (16.0, 0.0), (16.0, 12.0), (4.0, 12.0)), radius=1.0),),
+        sensors={"foot": "xsens_mtw"},
+        field={"kind": kind, **field},
+        landmarks=((8.0, 0.0), (16.0, 6.0), (10.0, 12.0), (4.0, 12.0)),
+    )
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """A walk in a homogeneous field."""
+    return simulate(scenario("munich"), 3)
+
+
+@pytest.fixture(scope="module")
+def building():
+    """The same walk in an office."""
+    return simulate(scenario("building", style="office"), 3)
+
+
+@pytest.fixture(scope="module")
+def both(plain, building):
+    return {"munich": plain, "building": building}
+
+
+def ma(**changes):
+    """Parameters with changes, `__` for the dot."""
+    return parameters.replace(MA.defaults(), {k.replace("__", "."): v for k, v in changes.items()})
+
+
+def unsure(**changes):
+    return parameters.replace(ma(**changes), UNSURE)
+
+
+def yaw_error(track, made):
+    """Degrees, at every sample of a stance."""
+    C = made.truth["foot"].motion.attitude
+    away = track.euler[:, 2] - np.arctan2(C[:, 1, 0], C[:, 0, 0])
+    return np.degrees(np.arctan2(np.sin(away), np.cos(away)))[track.stance > 0.5]
+
+
+@pytest.mark.parametrize("where", ["munich", "building"])
+def test_without_its_update_it_is_iez(both, where):
+    recording = both[where].recording
+    track = pedjax.run(recording, "ma2018", ma(compass__update="none", compass__start="given"))
+    iez = pedjax.run(recording, "iez")
+    for name in (*NAMES, "stance", "log_ratio", "sigma"):
+        np.testing.assert_allclose(getattr(track, name), getattr(iez, name), atol=1e-12, rtol=0, err_msg=name)
+    assert (track.more["field_weight"] == 0).all()
+    assert track.more["look"].sum() > 20
+
+
+def settings_of(p, imu):
+    """The dense filter's settings, levelled and turned by the same first samples."""
+    first = round(p.initial.levelling_s * imu.rate)
+    force, mag = imu.specific_force[:first].mean(axis=0), imu.magnetic_field[:first].mean(axis=0)
+    q = p.compass
+    offset = np.array([q.level.offset_x, q.level.offset_y])
+    soft = np.array([[q.level.xx, q.level.xy], [q.level.xy, q.level.yy]])
+    north = np.pi / 2 - q.declination
+    C = dense.levelled_attitude(force, p.initial.heading)
+    seen = naive.levelled(C, force, mag, offset, soft, "force")
+    heading, sigma = p.initial.heading, p.initial.heading_sigma
+    if q.start == "field":
+        heading, sigma = heading + naive.wrapped(north - naive.azimuth(seen)), q.start_sigma
+    given = (q.strength, q.inclination)
+    inertial = dense.Settings(
+        gravity=p.gravity,
+        accelerometer=p.process.accelerometer,
+        gyroscope=p.process.gyroscope,
+        accelerometer_bias=p.process.accelerometer_bias,
+        gyroscope_bias=p.process.gyroscope_bias,
+        accelerometer_bias_time=p.process.accelerometer_bias_time,
+        gyroscope_bias_time=p.process.gyroscope_bias_time,
+        sigma_zupt=p.updates.zero_velocity,
+        initial_attitude_std=p.initial.attitude,
+        initial_heading_std=sigma,
+        initial_gyroscope_bias_std=p.initial.gyroscope_bias,
+        initial_position_std=p.initial.position,
+        initial_velocity_std=p.initial.velocity,
+        initial_accelerometer_bias_std=p.initial.accelerometer_bias,
+        initial_C=dense.levelled_attitude(force, heading),
+    )
+    own = p.field.ma
+    magnetic = naive.MagneticSettings(
+        update=q.update,
+        row=q.row,
+        levelling=q.looking.levelling,
+        per=q.looking.per,
+        dwell=q.looking.dwell_s,
+        gap=q.looking.gap_s,
+        steps=p.field.window,
+        threshold=own.threshold,
+        width=p.field.width,
+        sigmas=(own.sigma_heading, own.sigma_inclination, own.sigma_strength),
+        north=north,
+        floor=q.noise.floor,
+        sigma_field=q.noise.field,
+        tilt=q.noise.tilt,
+        oddity=q.noise.oddity,
+        tail=q.tail,
+        reference=(naive.strength(seen), naive.inclination(seen)) if q.reference == "running" else given,
+        running=q.reference == "running",
+        gyroscope_rows=q.gyroscope_rows,
+        offset=offset,
+        soft=soft,
+    )
+    return inertial, magnetic
+
+
+def compare(recording, p, tolerance=1e-8):
+    track = pedjax.run(recording, "ma2018", p)
+    assert track.healthy
+    assert all(np.isfinite(x).all() for x in track.more.values())
+    imu = walk(recording).imu
+    expected = naive.run_magnetic(
+        imu.dt, imu.specific_force, imu.angular_rate, imu.magnetic_field, track.stance, *settings_of(p, imu)
+    )
+    np.testing.assert_array_equal(track.more["look"], expected["look"])
+    looked = expected["look"] > 0
+    np.testing.assert_allclose(track.more["field_weight"][looked], expected["weight"][looked], atol=tolerance)
+    for ours, theirs in NAMES.items():
+        np.testing.assert_allclose(
+            getattr(track, ours), expected[theirs], atol=tolerance, rtol=0, err_msg=ours
+        )
+    np.testing.assert_allclose(track.sigma, np.sqrt(expected["P_diag"]), atol=tolerance, rtol=1e-7)
+    assert (expected["weight"] > 0.1).any()
+    return track, expected
+
+
+DENSE = {
+    "published": {},
+    "levelled by the attitude": {"compass.looking.levelling": "attitude"},
+    "heading given": {"compass.start": "given", "initial.heading": 0.4, "initial.heading_sigma": 0.5},
+    "simple row": {"compass.row": "simple"},
+    "soft, calibrated, odd, heavy tails": {
+        "field.width": 0.5,
+        "field.ma.threshold": 60.0,
+        "compass.level.offset_x": 1.5,
+        "compass.level.offset_y": -2.0,
+        "compass.level.xx": 1.05,
+        "compass.level.xy": 0.03,
+        "compass.noise.oddity": 0.7,
+        "compass.declination": 0.06,
+        "compass.tail": 4.0,
+        "gate.width": 0.25,
+    },
+    "reference given": {"compass.reference": "given", "compass.noise.oddity": 0.5, "field.window": 2},
+    "anchored": {"compass.update": "anchored", "compass.looking.levelling": "attitude"},
+    "differential": {"compass.update": "differential", "compass.looking.levelling": "attitude"},
+    "gyroscope rows": {"compass.gyroscope_rows": True},
+    "every sample": {"compass.looking.per": "sample", "field.window": 5, "compass.noise.floor": 0.3},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", DENSE)
+def test_it_equals_the_dense_filter(building, name):
+    p = unsure()
+    compare(building.recording, parameters.replace(p, DENSE[name]))
+
+
+@pytest.fixture(scope="module")
+def prepared(building):
+    imu = walk(building.recording).imu.crop(0, 1600)
+    p = parameters.cast(unsure(field__width=0.3, compass__gyroscope_rows=True), float)
+    return p, imu, prepare(MA, p, imu, float, 1600)
+
+
+HALF = 800
+"""A cut in a swing, with three looks behind it in the window."""
+
+
+@partial(jax.jit, static_argnames="system")
+def scan(system, params, samples, state):
+    return filtering.scan(system, params, samples, state)
+
+
+def same_bits(a, b):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def test_cropping_the_end_changes_no_bit(prepared):
+    p, imu, inputs = prepared
+    _, whole = scan(MA, p, inputs.samples, MA.start(p, inputs.opening))
+    assert whole.more["field_weight"].max() > 0.5
+    cropped = prepare(MA, p, imu.crop(0, HALF), float, HALF)
+    _, part = scan(MA, p, cropped.samples, MA.start(p, cropped.opening))
+    same_bits(jax.tree.map(lambda x: x[:HALF], whole), part)
+
+
+def test_two_chunks_equal_one_to_the_bit(prepared):
+    p, _, inputs = prepared
+    state = MA.start(p, inputs.opening)
+    end, whole = scan(MA, p, inputs.samples, state)
+    first, second = (
+        jax.tree.map(lambda x, s=s: x[s], inputs.samples) for s in (slice(HALF), slice(HALF, None))
+    )
+    middle, a = scan(MA, p, first, state)
+    last, b = scan(MA, p, second, middle)
+    same_bits(end, last)
+    same_bits(whole, jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b))
+
+
+LANES = {
+    "compass.noise.floor": [0.02, 0.1, 0.3],
+    "field.ma.threshold": [170.0, 40.0, 90.0],
+    "compass.level.offset_x": [0.0, 3.0, -5.0],
+    "compass.declination": [0.0, 0.1, -0.1],
+    "initial.heading": [0.0, 0.2, 1.0],
+}
+
+
+def test_lanes_equal_one_by_one(prepared):
+    p, _, inputs = prepared
+    lanes = parameters.with_leaves(p, {n: jnp.asarray(x) for n, x in LANES.items()})
+    _, together = scan(MA, lanes, inputs.samples, MA.start(lanes, inputs.opening))
+    assert together.navigation.position.shape == (1600, 3, 3)
+    for i in range(3):
+        one = parameters.with_leaves(p, {n: jnp.asarray(x[i]) for n, x in LANES.items()})
+        _, alone = scan(MA, one, inputs.samples, MA.start(one, inputs.opening))
+        for ours, theirs in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
+            np.testing.assert_allclose(ours[..., i], theirs, atol=1e-9, rtol=1e-9)
+
+
+SLOPES = {
+    "compass.noise.floor": 0.03,
+    "compass.noise.field": 0.3,
+    "compass.noise.oddity": 0.3,
+    "field.ma.threshold": 80.0,
+    "field.ma.sigma_heading": 0.067,
+    "compass.level.offset_x": 1.0,
+    "compass.start_sigma": 0.1,
+    "compass.tail": 20.0,
+}
+
+
+@pytest.mark.slow
+def test_walks_in_columns_equal_one_by_one(both):
+    p = parameters.cast(unsure(), float)
+    walks = [walk(made.recording) for made in both.values()]
+    values = {"compass.noise.floor": jnp.array([0.03, 0.3])}
+    problem = Problem(MA, "rms_2d", "none")
+    together = losses(problem, p, values, pack(MA, p, walks))
+    assert together.shape == (2, 2)
+    for i, one in enumerate(walks):
+        alone = losses(problem, p, values, pack(MA, p, [one]))
+        np.testing.assert_allclose(together[:, i], alone[:, 0], rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_gradients_of_a_landmark_error_equal_differences(building):
+    p = unsure(field__width=0.5, gate__width=0.25)
+    p = parameters.cast(parameters.replace(p, SLOPES), float)
+    found = walk(building.recording)
+    inputs = prepare(MA, p, found.imu, float, len(found.imu.time))
+    at, there = jnp.asarray(found.index), jnp.asarray(found.position[:, :2])
+
+    @jax.jit
+    @jax.value_and_grad
+    def error(values):
+        q = parameters.with_leaves(p, values)
+        state = MA.start(q, inputs.opening)
+        _, place = filtering.scan(MA, q, inputs.samples, state, lambda o: o.navigation.position)
+        return jnp.sqrt(jnp.mean(jnp.sum((place[at, :2] - there) ** 2, axis=1)))
+
+    values = {name: jnp.asarray(x) for name, x in SLOPES.items()}
+    loss, gradient = error(values)
+    assert 0.01 < loss < 20
+    for name, x in values.items():
+        h = 1e-5 * x
+        up, down = (float(error({**values, name: x + s})[0]) for s in (h, -h))
+        assert gradient[name] == pytest.approx((up - down) / (2 * float(h)), rel=1e-5, abs=1e-9), name
+        assert gradient[name] != 0.0, name
+
+
+def biased(recording, rate):
+    """The recording with a constant added to its gyroscope, rad/s."""
+    foot = recording.sensors["foot"]
+    gyroscope = Stream(foot.gyroscope.time, foot.gyroscope.values + np.asarray(rate))
+    return replace(recording, sensors={"foot": replace(foot, gyroscope=gyroscope)})
+
+
+def test_a_homogeneous_field_holds_the_heading_of_a_biased_gyroscope(plain):
+    drifting = biased(plain.recording, [0.0, 0.0, np.radians(0.5)])
+    unit = {"initial.gyroscope_bias": np.radians(0.5)}
+    given = yaw_error(pedjax.run(drifting, "iez"), plain)
+    assert np.ptp(given) > 12
+    held = yaw_error(pedjax.run(drifting, "ma2018", parameters.replace(MA.defaults(), unit)), plain)
+    print(f"IEZ drifts by {np.ptp(given):.1f} deg, Ma 2018 is off by at most {np.abs(held).max():.2f} deg")
+    assert np.abs(held).max() < 4
+
+
+def test_the_first_heading_is_the_compass(plain):
+    track = pedjax.run(plain.recording, "ma2018")
+    declination = np.arctan2(1.2, 21.2)
+    assert np.abs(yaw_error(track, plain)).max() < 3
+    turned = pedjax.run(plain.recording, "ma2018", ma(compass__declination=declination))
+    np.testing.assert_allclose(turned.euler[0, 2], track.euler[0, 2] - declination, atol=1e-6)
+    given = pedjax.run(plain.recording, "ma2018", ma(compass__start="given", initial__heading=0.5))
+    assert given.euler[0, 2] == pytest.approx(0.5, abs=1e-3)
+
+
+CHOICES = [
+    {"compass.update": "anchored"},
+    {"compass.update": "differential", "compass.row": "simple", "compass.looking.per": "sample"},
+    {"field.straight_through": True, "field.width": 0.3},
+    *({"field.detector": d} for d in ("qsf", "qmd", "magyq", "iqsf", "vector")),
+]
+"""What no dense filter is there for."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", CHOICES, ids=lambda c: " ".join(str(v) for v in c.values()))
+def test_every_choice_runs(building, change):
+    track = pedjax.run(building.recording, "ma2018", parameters.replace(MA.defaults(), change))
+    assert track.healthy
+    assert np.isfinite(track.position).all()
+    assert all(np.isfinite(x).all() for x in track.more.values())
+    assert np.linalg.norm(track.position - walk_truth(building), axis=1).max() < 12
+
+
+def walk_truth(made):
+    place = made.truth["foot"].motion.position
+    return place - place[0]
+
+
+def test_what_is_seen_is_the_field_of_the_place(plain):
+    """Each look finds the homogeneous field, as strong as it is; and is judged as quasi-static."""
+    track = pedjax.run(plain.recording, "ma2018", unsure())
+    at = track.more["look"] > 0
+    steps = track.stances().max() + 1
+    assert 0.9 * steps <= at.sum() <= steps
+    size = np.linalg.norm(track.more["magnetic_field"][at], axis=1)
+    assert np.abs(size - np.linalg.norm(plain.truth["foot"].magnetic_field[0])).max() < 3
+    np.testing.assert_allclose(track.more["field_weight"][at], np.arange(at.sum()) >= 3, atol=1e-5)
+    assert (track.more["field_weight"][~at] == 0).all()
+
+
+def test_ratios_of_looks_are_those_of_the_run(building):
+    """With no update nothing turns the looks: windows of what was put out give what the step decided by."""
+    p = parameters.cast(unsure(compass__update="none"), float)
+    track = pedjax.run(building.recording, "ma2018", p)
+    at = np.flatnonzero(track.more["look"] > 0)
+    b, yaw, time = (x[at] for x in (track.more["magnetic_field"], track.euler[:, 2], track.time))
+    stop = len(at) - 3
+    window = tuple(
+        Look(*map(jnp.asarray, (b[k : k + stop].T, yaw[k : k + stop], time[k : k + stop]))) for k in range(4)
+    )
+    found = track.more["field_log_ratio"][at]
+    np.testing.assert_allclose(found[3:], log_ratio(p.field, window, jnp.asarray(np.pi / 2)), atol=1e-9)
+    assert (found[:3] == 10).all()
+
+
+def test_a_recording_without_a_magnetometer_is_refused(plain, minute_recording):
+    with pytest.raises(InputError, match="'ma2018' needs a magnetometer and this sensor has none"):
+        pedjax.run(minute_recording, "ma2018")
+    foot = plain.recording.sensors["foot"]
+    without = replace(plain.recording, sensors={"foot": replace(foot, magnetometer=None)})
+    assert pedjax.run(without, "iez").healthy
+    with pytest.raises(InputError, match="--system"):
+        pedjax.run(without, "ma2018")
+
+
+@pytest.mark.parametrize("where", ["munich", "building"])
+def test_single_precision_is_close(both, where):
+    p = parameters.replace(MA.defaults(), BETWEEN)
+    double = pedjax.run(both[where].recording, "ma2018", p)
+    with jax.enable_x64(False):
+        single = pedjax.run(both[where].recording, "ma2018", p)
+    assert single.position.dtype == np.float32
+    np.testing.assert_array_equal(single.more["look"], double.more["look"])
+    away = np.linalg.norm(single.position - double.position, axis=1).max()
+    print(f"{where}: float32 is off by at most {away:.1e} m")
+    assert away < 2e-3
