@@ -4,7 +4,7 @@ from pedjax.errors import InputError
 from pedjax.evaluation import landmark_errors, roc
 from pedjax.recording import Inertial, Landmarks, Recording, Sensor, Stream, Truth, inertial
 from pedjax.running import Track, run
-from pedjax.runtime import configure
+from pedjax.runtime import avoid_wrong_sums, configure
 from pedjax.scoring import Score, evaluate
 from pedjax.simulation import Scenario, Simulated, simulate
 from pedjax.sources import read_any as read
@@ -13,6 +13,8 @@ from pedjax.systems import SYSTEMS, system
 from pedjax.tuning import Tuned, TuneSettings, split, tune
 
 __version__ = "0.1.0"
+
+avoid_wrong_sums()
 
 __all__ = [
     "SYSTEMS", "Inertial", "InputError", "Landmarks", "Recording", "Scenario", "Score", "Sensor", "Simulated",

@@ -22,6 +22,10 @@ _WHOLE_LOOP = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_thresho
 _NO_CUSTOM_DOT = "--xla_cpu_experimental_ynn_fusion_type="
 """A small product handed to a library would keep its loop from that."""
 
+_WRONG_SUMS = ("0.10.2", "0.11.0")
+"""Versions of jaxlib whose library kernels give wrong sums of products over about ten thousand lanes in
+float32 on a CPU (github.com/jax-ml/jax/issues/39103), without a word."""
+
 _PLAIN_FUSION = "--xla_cpu_use_fusion_emitters=false"
 """So would the fusion kernels of jaxlib 0.10, which later ones have no choice about."""
 
@@ -64,7 +68,8 @@ def configure(
     folder, so that the next process need not compile them.
 
     What cannot be had, because it is not known to this jaxlib or JAX has already started, is warned of, and
-    everything works without it. The command line makes this call; importing pedjax never does.
+    everything works without it. The command line makes this call; importing pedjax never does (it only keeps
+    faulty kernels out of reach, `avoid_wrong_sums`).
     """
     notes: list[str] = []
     if precision is not None:
@@ -78,6 +83,23 @@ def configure(
     for note in notes:
         warnings.warn(note, stacklevel=2)
     return Runtime(in_force, devices, str(jnp.result_type(float)), folder, tuple(notes))
+
+
+def avoid_wrong_sums() -> None:
+    """Keep the kernels of `_WRONG_SUMS` from being used, unless the user has chosen among them."""
+    import jaxlib
+
+    flags = os.environ.get("XLA_FLAGS", "")
+    if jaxlib.__version__ not in _WRONG_SUMS or _NO_CUSTOM_DOT.split("=")[0] in flags:
+        return
+    if _started():
+        warnings.warn(
+            f"jaxlib {jaxlib.__version__} adds up wrongly in some large float32 products, and JAX has already "
+            "started: import pedjax before using JAX, or take another version of jaxlib",
+            stacklevel=3,
+        )
+        return
+    os.environ["XLA_FLAGS"] = f"{flags} {_NO_CUSTOM_DOT}".strip()
 
 
 def _fast_options(notes: list[str]) -> bool:

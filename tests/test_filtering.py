@@ -169,6 +169,17 @@ np.save(sys.argv[1] if len(sys.argv) > 1 else TARGET, pedjax.run(pedjax.read("de
     np.testing.assert_allclose(tracks[0], tracks[1], atol=1e-9)
 
 
+def test_sums_are_right_without_configuring():
+    """jaxlib 0.10.2 by itself is off by 20 here, without a word."""
+    code = """
+import numpy as np, jax, pedjax
+from pedjax import lanes
+a, b = np.random.default_rng(0).normal(size=(2, 3, 3, 20000)).astype("f4")
+print(np.abs(np.asarray(jax.jit(lanes.matmul_t)(a, b)) - np.einsum("ikl,jkl->ijl", a, b)).max())
+"""
+    assert float(python(code, XLA_FLAGS="", PEDJAX_FAST="0")) < 1e-4
+
+
 def test_configuring_too_late_warns():
     code = """
 import warnings, jax.numpy as jnp, pedjax

@@ -156,8 +156,8 @@ class Vector:
     false_alarm: Array = leaf(0.1, unit="1", low=1e-6, high=0.999, source=_KIT)
     change: Array = leaf(3.0, unit="uT", low=1e-3, high=100.0, source=f"{_KIT}: what quasi-static means")
     sigma_field: Array = leaf(0.1, unit="uT", low=1e-4, high=100.0, source=f"{_KIT}: of one look")
-    sigma_tilt: Array = leaf(0.3 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two")
-    sigma_yaw: Array = leaf(0.3 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two")
+    sigma_tilt: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two")
+    sigma_yaw: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two")
 
 
 def _qsf(p: Qsf | Qmd, window: Window, north: Array) -> Array:

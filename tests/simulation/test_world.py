@@ -84,15 +84,15 @@ def test_a_homogeneous_field_is_quasi_static_and_a_magnet_is_not():
     calm = simulate(replace(SMALL, legs=corridor, field={"kind": "munich"}, landmarks=(), survey_m=0.0), 1)
     time, label = quasi_static(calm.truth["foot"])
     assert len(time) > 12
-    assert label[2:].all()
-    assert not label[:2].any()
+    assert label[3:].all()
+    assert not label[:3].any()
     disturbed = {"kind": "floor_magnet", "place": (12.0, 0.0), "moment": (200.0, 0.0, 0.0)}
     magnet = simulate(replace(SMALL, legs=corridor, field=disturbed, landmarks=(), survey_m=0.0), 1)
     truth = magnet.truth["foot"]
     time, label = quasi_static(truth)
     away = np.abs(np.interp(time, truth.time, truth.motion.position[:, 0]) - 12.0)
     assert not label[away < 2.0].any()
-    assert label[2:][away[2:] > 9.0].all()
+    assert label[3:][away[3:] > 9.0].all()
 
 
 def test_what_acts_in_stance_acts_in_stance_only():
