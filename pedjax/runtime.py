@@ -94,8 +94,8 @@ def avoid_wrong_sums() -> None:
         return
     if _started():
         warnings.warn(
-            f"jaxlib {jaxlib.__version__} adds up wrongly in some large float32 products, and JAX has already "
-            "started: import pedjax before using JAX, or take another version of jaxlib",
+            f"jaxlib {jaxlib.__version__} adds up wrongly in some large float32 products, and JAX has "
+            "already started: import pedjax before using JAX, or take another version of jaxlib",
             stacklevel=3,
         )
         return
