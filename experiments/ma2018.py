@@ -168,7 +168,7 @@ _TABLE = np.eye(2) + (1 / 0.896 - 1) * np.outer(
 
 
 def walks(
-    place: str, seeds: range, out: Path
+    place: str, seeds: range
 ) -> tuple[dict[str, np.ndarray], dict[str, pedjax.Track], pedjax.Simulated]:
     """Mean, maximum, final landmark error in m and heading drift in deg of each filter, `(N, 4)`; the tracks
     and the world of the first seed."""
@@ -200,7 +200,7 @@ def walks(
 
 def office(seeds: range, out: Path) -> list[Row]:
     """Figs. 3, 10 and 11."""
-    errors, tracks, world = walks("office-loop", seeds, out)
+    errors, tracks, world = walks("office-loop", seeds)
     means = {name: each.mean(axis=0) for name, each in errors.items()}
     zupt, iqsf, ma = (means[name] for name in ("ZUPT", "iQSF", "Ma"))
     figure = Figure(figsize=(11, 9), layout="constrained")
@@ -244,7 +244,7 @@ def office(seeds: range, out: Path) -> list[Row]:
 
 def mall(seeds: range, out: Path) -> list[Row]:
     """Figs. 12, 15 and 16."""
-    errors, tracks, world = walks("mall", seeds, out)
+    errors, tracks, world = walks("mall", seeds)
     means = {name: each.mean(axis=0) for name, each in errors.items()}
     zupt, iqsf, ma = (means[name] for name in ("ZUPT", "iQSF", "Ma"))
     figure = Figure(figsize=(11, 10), layout="constrained")

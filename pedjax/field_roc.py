@@ -72,6 +72,8 @@ def field_walk(
     changes: dict[str, str | bool] = {"compass.update": "none", "compass.gyroscope_rows": False}
     if params.compass.update in ("anchored", "differential"):  # these level by the attitude
         changes["compass.looking.levelling"] = "attitude"
+    if params.compass.looking.per == "sample":
+        raise InputError("an ROC of field detectors judges steps: set compass.looking.per = step")
     alone = parameters.replace(params, changes)
     track = run_system(recording, "ma2018", alone, sensor=sensor, clock=clock)
     steps = params.field.window
@@ -114,7 +116,7 @@ def _truths(truth: SensorTruth, here: np.ndarray, steps: int) -> list[np.ndarray
     path = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1)))
     looks = np.lib.stride_tricks.sliding_window_view(np.stack([yaw, odd]), steps + 1, axis=1)
     seconds = np.maximum(time[steps:] - time[:-steps], 1e-3)
-    changes = [x[here][steps:] for x in largest_changes(field, steps)]
+    changes = [x[steps:] for x in largest_changes(field[here], steps)]  # of what the window looked at
     return [
         *changes,
         np.ptp(looks[0], axis=1),
@@ -129,8 +131,7 @@ def _log_ratio(p: FieldParameters, windows: Any, north: Any) -> jax.Array:
 
 
 _AT_ONCE = 4096
-"""Windows: few shapes to compile. (Without `pedjax.configure`, jax 0.10.2 gets sums over the middle axis of
-products wrong from some 11 000 float32 lanes on.)"""
+"""Windows: few shapes to compile."""
 
 
 def log_ratios(p: FieldParameters, windows: Windows, north: float = np.pi / 2) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from pedjax.simulation.world import SensorTruth, Simulated, simulate
 def is_made(name: str) -> bool:
     """Whether a name stands for a walk that the package makes: a scenario that comes along, as `demo` or
     `office-loop:3` (`SCENARIO:SEED`)."""
-    return name.partition(":")[0] in scenarios()
+    return name.partition(":")[0] in scenarios() and not Path(name).exists()
 
 
 def read_any(name: str | os.PathLike[str], config: str | None = None, sensor: str | None = None) -> Recording:
@@ -73,12 +74,19 @@ def _truth_of(beside: Path, recording: Recording, sensor: str) -> SensorTruth:
         )
     try:
         with np.load(beside) as file:
+            known = [
+                name.removesuffix("_magnetic_field") for name in file if name.endswith("_magnetic_field")
+            ]
+            if sensor not in known:
+                raise InputError(
+                    f"{beside}: has no truth of sensor '{sensor}', but of {', '.join(known) or 'none'}"
+                )
             motion = Motion(*(file[f"{sensor}_{name}"] for name in Motion._fields))
             own = [x for x in SensorTruth._fields if x not in ("time", "motion")]
             given = {name: file[f"{sensor}_{name}"] for name in own}
     except KeyError as error:
         raise InputError(f"{beside}: has no {error.args[0]}; repeat 'pedjax simulate'") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise InputError(f"{beside}: cannot be read ({error}); repeat 'pedjax simulate'") from None
     truth = SensorTruth(time=motion.time, motion=motion, **given)
     stamps = recording.sensors[sensor].gyroscope.time if sensor in recording.sensors else truth.time

@@ -176,7 +176,7 @@ def test_a_file_with_its_truth_is_the_made_walk(scenario, pairs, walks, tmp_path
     with pytest.raises(InputError, match="belongs to another walk"):
         read_labelled(tmp_path / "longer.csv")
     np.savez(tmp_path / "other.truth.npz", route=np.zeros(3))
-    with pytest.raises(InputError, match="has no foot_time"):
+    with pytest.raises(InputError, match="no truth of sensor 'foot'"):
         read_labelled(other)
 
 

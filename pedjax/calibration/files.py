@@ -1,4 +1,4 @@
-"""Calibrations on disk, readable TOML, and on recordings."""
+"""Calibrations on disk, in readable TOML."""
 
 from __future__ import annotations
 

@@ -252,7 +252,7 @@ class FieldParameters:
     """Which detector is on, its window in steps (or samples), and the numbers of all of them."""
 
     detector: str = setting("ma", choices=tuple(FIELD_DETECTORS), source=_MA)
-    window: int = setting(3, source=f"{_MA}: N = 3 steps")
+    window: int = setting(3, choices=tuple(range(1, 31)), source=f"{_MA}: N = 3 steps")
     width: Array = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: the published hard test")
     straight_through: bool = setting(False, source=_KIT)
     qsf: Qsf = group(Qsf)

@@ -76,7 +76,8 @@ def roc(statistic: np.ndarray, still: np.ndarray) -> Roc:
         raise ValueError(f"statistic {statistic.shape} and labels {still.shape} must both be (T,)")
     if still.all() or not still.any():
         raise InputError(
-            "an ROC needs both still and moving samples among its labels; change the speed limit"
+            "an ROC needs both still and moving (of a field: same and changed) samples among its labels; "
+            "change the limit that labels them (--still-below; --same-field, --same-heading)"
         )
     statistic = np.where(np.isnan(statistic), np.inf, statistic)
     order = np.argsort(statistic, kind="stable")

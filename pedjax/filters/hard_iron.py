@@ -14,6 +14,7 @@ Noises are densities (a per-sample deviation s at rate r is s/√r), so that any
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -177,6 +178,7 @@ def track_hard_iron(rate: ArrayLike, field: ArrayLike, dt: ArrayLike, params: Ha
     Rows of `field` that are not finite are samples without a reading (not the first). Causal and pure.
     """
     rate, field, dt = jnp.asarray(rate), jnp.asarray(field), jnp.asarray(dt)
+    params = jax.tree.map(partial(jnp.asarray, dtype=field.dtype), params)
     time = jnp.cumsum(dt)
     lag = jnp.asarray(params.lag, time.dtype)
     then = align(time, 1, lag.ndim) - lag

@@ -43,7 +43,7 @@ def quasi_static(
     less than `field_uT` microtesla and its horizontal direction by less than `heading_deg` degrees. The
     definition is the kit's own: Ma 2018 draws a ROC (Fig. 8) without saying what its reference labels are.
     With 1 µT and 2 degrees hardly a step indoors is quasi-static for a foot (0.2 % in simulated buildings,
-    none on recorded loops, where the field changes by 10 to 18 µT from stride to stride).
+    none on recorded loops, where the field changes by 7 to 19 µT from stride to stride).
     The first `steps` stances have no whole window and are not quasi-static.
     """
     middles = stance_middles(truth.stance)

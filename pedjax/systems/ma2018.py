@@ -34,7 +34,7 @@ from pedjax.systems import iez
 from pedjax.systems.iez import IezParameters
 
 _KIT = "kit choice"
-_HALF_TURN = 1.5707963267948966
+_QUARTER_TURN = 1.5707963267948966
 
 
 @parameters
@@ -115,7 +115,7 @@ def prepare(p: Ma2018Parameters, signals: Signals, rate_hz: float, length: Array
 
 def north_of(p: Compass) -> Array:
     """The azimuth of the undisturbed horizontal field, counter-clockwise from east."""
-    return _HALF_TURN - p.declination
+    return _QUARTER_TURN - p.declination
 
 
 def start(p: Ma2018Parameters, opening: Opening) -> State:
@@ -181,6 +181,8 @@ def step(p: Ma2018Parameters, state: State, sample: Sample) -> tuple[State, Outp
     far = covariance.normalised_innovation(P, rows)
     weight = now * quasi * (q.tail + degrees) / (q.tail + far)
     weight = jnp.minimum(weight, 1.0) * (0.0 if q.update == "none" else 1.0)
+    if q.update == "anchored":  # only while the anchor is of this quasi-static stretch
+        weight = jnp.where(begins | (state.quasi > 0.5), weight, 0.0)
     P, correction = covariance.update(P, rows, weight)
     nav = measurements.correct(nav, correction)
     looks = compass.turned(looks, correction["t"], nav.attitude, looking.levelling)
