@@ -205,7 +205,7 @@ def test_a_change_of_the_length_passes_no_more_often_than_agreed():
     """One change of `change` in any direction and step: at most the false alarm, about it in the worst."""
     count, rng = 20_000, np.random.default_rng(7)
     for false_alarm in (0.1, 0.3):
-        p = chosen("vector", 3, false_alarm=false_alarm, change=1.0)
+        p = chosen("vector", 3, false_alarm=false_alarm, change=1.0, sigma_tilt=THIRD, sigma_yaw=THIRD)
         way = rng.normal(0, 1, (3, count))
         along = MUNICH / np.linalg.norm(MUNICH)
         worst = way - along[:, None] * (along @ way)  # where a turn between two looks tells most
@@ -310,7 +310,8 @@ def slopes():
 
 @pytest.mark.parametrize("detector", FIELD_DETECTORS)
 def test_gradients_equal_differences_through_the_soft_gate(looks, detector):
-    p, window = parameters.cast(chosen(detector), float), windows(looks, 3)
+    apart = {"sigma_yaw": 0.003} if detector == "vector" else {}  # the larger of two equal sigmas has a kink
+    p, window = parameters.cast(chosen(detector, 3, **apart), float), windows(looks, 3)
     values = {f"{detector}.{n}": jnp.asarray(parameters.get(p, f"{detector}.{n}")) for n in NUMBERS[detector]}
     width = jnp.asarray(2.0)
     _, (gradient, by_window) = slopes()(p, values, window, width)
