@@ -30,7 +30,7 @@ from pedjax.systems.ma2018 import MA2018
 
 Row = dict[str, Any]
 FILTERS: dict[str, dict[str, Any]] = {
-    "ZUPT": {"compass.update": "none"},
+    "ZUPT": {"compass.update": "none", "compass.start": "given"},
     "QSF": {"field.detector": "qsf"},
     "iQSF": {"field.detector": "iqsf"},
     "Ma": {},

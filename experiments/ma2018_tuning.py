@@ -63,7 +63,7 @@ def main() -> None:
         [*tuned_on, *held_back],
         {"gravity": np.array([float(params.gravity)])},
         MA2018,
-        parameters.replace(params, {"compass.update": "none"}),
+        parameters.replace(params, {"compass.update": "none", "compass.start": "given"}),
         loss="mean_2d",
     ).loss[0]
     rows = []
