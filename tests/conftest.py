@@ -11,6 +11,7 @@ os.environ["PEDJAX_CACHE"] = tempfile.mkdtemp(prefix="pedjax-test-")  # compiled
 matplotlib.use("Agg")
 CONFIGURED = pedjax.configure().fast
 
+import hypothesis  # noqa: E402
 import jax  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
@@ -19,6 +20,8 @@ from tests import tools  # noqa: E402
 from tests.reference.walk import walk  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
+hypothesis.settings.register_profile("patient", deadline=None)  # a busy machine is not a failure
+hypothesis.settings.load_profile("patient")
 
 
 @pytest.fixture(scope="session")
