@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import pedjax
+from experiments.gait_fit import period
 from pedjax.output import folder, write_figure, write_table
 from pedjax.simulation.footsteps import GAITS, Leg
 from pedjax.simulation.scenarios import Scenario
@@ -38,10 +39,7 @@ def figures(recording: pedjax.Recording) -> dict[str, float]:
     power = np.abs(np.fft.rfft((force - force.mean()) * np.hanning(len(force)))) ** 2
     share = np.cumsum(power) / power.sum()
     frequency = np.fft.rfftfreq(len(force), 1 / hz)
-    even = rate - rate.mean()
-    alike = np.correlate(even, even, "full")[len(even) - 1 :]
-    lags = np.arange(int(0.55 * hz), int(1.7 * hz))
-    found = {"stride_s": float(lags[np.argmax(alike[lags])] / hz)}
+    found = {"stride_s": period(rate, hz) / hz}
     found |= {f"rate_p{q}_rad_per_s": float(np.percentile(rate, q)) for q in (15, 50, 90, 99)}
     found |= {f"force_p{q}_m_per_s2": float(np.percentile(force, q)) for q in (1, 50, 90, 99)}
     return {

@@ -37,17 +37,22 @@ SHAPE = {  # start, lowest, highest of what is fitted
 SPREAD = np.array([1.0, 4.0, 0.15])[:, None]  # rad/s, m/s^2, rad that count alike
 
 
+def period(rate: np.ndarray, hz: float) -> int:
+    """Samples in a stride: where the norm of the angular rate `(T,)` is most like itself."""
+    even = rate - rate.mean()
+    alike = np.correlate(even, even, "full")[len(even) - 1 :]
+    lags = np.arange(int(0.55 * hz), int(1.7 * hz))
+    return int(lags[np.argmax(alike[lags])])
+
+
 def strides(recording: pedjax.Recording) -> tuple[np.ndarray, np.ndarray]:
     """Rate, force and angle over the phase `(N, 3, 121)` of N strides, and their durations `(N,)` in s."""
     samples = pedjax.inertial(recording, next(iter(recording.sensors)))
     hz, spin = samples.rate, np.asarray(samples.angular_rate)
     rate, force = np.linalg.norm(spin, axis=1), np.linalg.norm(samples.specific_force, axis=1)
     smooth = np.convolve(rate, np.ones(int(0.15 * hz)) / int(0.15 * hz), "same")
-    even = rate - rate.mean()
-    alike = np.correlate(even, even, "full")[len(even) - 1 :]
-    lags = np.arange(int(0.55 * hz), int(1.7 * hz))
-    period = lags[np.argmax(alike[lags])]
-    near = int(0.35 * period)
+    usual = period(rate, hz)
+    near = int(0.35 * usual)
     still = [
         i
         for i in range(near, len(smooth) - near)
@@ -55,7 +60,7 @@ def strides(recording: pedjax.Recording) -> tuple[np.ndarray, np.ndarray]:
     ]
     found, seconds = [], []
     for first, last in itertools.pairwise(still):
-        if 0.8 * period < last - first < 1.25 * period:
+        if 0.8 * usual < last - first < 1.25 * usual:
             here = slice(first, last + 1)
             angle = np.cumsum(spin[here] @ np.linalg.svd(spin[here], full_matrices=False)[2][0]) / hz
             angle = angle if abs(angle.min()) > abs(angle.max()) else -angle  # the heel rises first

@@ -25,7 +25,9 @@ import pedjax
 from pedjax import parameters
 from pedjax.calibration import ellipsoid, fitting, planar
 from pedjax.output import folder, write_figure, write_table
+from pedjax.packing import nearest
 from pedjax.runtime import double_precision
+from pedjax.scoring import aligned
 from pedjax.systems.ma2018 import MA2018
 
 Row = dict[str, Any]
@@ -178,17 +180,13 @@ def walks(
     for seed in tqdm(seeds, place):
         made = pedjax.simulate(place, seed)
         first = first or made
-        truth = made.recording.truth
-        assert truth is not None
-        assert truth.quaternion is not None
+        attitude = made.truth["foot"].motion.attitude[[0, -1]]
+        yaw = np.arctan2(attitude[:, 1, 0], attitude[:, 0, 0])
         for name, changes in FILTERS.items():
             track = pedjax.run(made.recording, MA2018, parameters.replace(MA2018.defaults(), changes))
             score = pedjax.evaluate(track, made.recording, alignment="yaw_translation")
             assert score is not None
-            w, x, y, z = truth.quaternion.T
-            yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-            away = np.unwrap(track.euler[:, 2]) - np.interp(track.time, truth.time, yaw)
-            drift = np.degrees(away[-1] - away[0])
+            drift = np.degrees(np.diff(track.euler[[0, -1], 2] - yaw)[0])
             found[name].append(
                 [score.mean_2d_m, score.max_2d_m, score.final_2d_m, abs((drift + 180) % 360 - 180)]
             )
@@ -254,9 +252,9 @@ def mall(seeds: range, out: Path) -> list[Row]:
     marks = world.recording.landmarks
     assert marks is not None
     for name, track in tracks.items():
-        at = np.searchsorted(track.time, marks.time).clip(max=len(track.time) - 1)
-        estimate = _aligned(track.position[at, :2], marks.position[:, :2])
-        axes[1].plot(np.linalg.norm(estimate - marks.position[:, :2], axis=1), ".-", label=name)
+        estimate = aligned(track, world.recording, "yaw_translation")[nearest(track.time, marks.time)]
+        apart = np.linalg.norm((estimate - marks.position)[:, :2], axis=1)
+        axes[1].plot(apart, ".-", label=name)
     axes[1].set(
         title="Figs. 15, 16: error at each landmark", xlabel="landmark passed", ylabel="m", yscale="log"
     )
@@ -284,20 +282,12 @@ def mall(seeds: range, out: Path) -> list[Row]:
     ]  # fmt: skip
 
 
-def _aligned(estimate: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Turned and shifted onto the truth, least squares."""
-    e, t = estimate - estimate.mean(axis=0), true - true.mean(axis=0)
-    turn = np.angle(np.sum((e[:, 0] - 1j * e[:, 1]) * (t[:, 0] + 1j * t[:, 1])))
-    c, s = np.cos(turn), np.sin(turn)
-    return np.asarray(e @ np.array([[c, s], [-s, c]]) + true.mean(axis=0))
-
-
 def _draw_tracks(axes: Axes, tracks: dict[str, pedjax.Track], world: pedjax.Simulated) -> None:
     true = world.recording.truth
     assert true is not None
     for name, track in tracks.items():
-        matching = np.stack([np.interp(track.time, true.time, true.position[:, k]) for k in range(2)], axis=1)
-        axes.plot(*_aligned(track.position[:, :2], matching).T, lw=0.7, label=name)
+        path = aligned(track, world.recording, "yaw_translation")
+        axes.plot(*path[:, :2].T, lw=0.7, label=name)
     axes.plot(*true.position[:, :2].T, "k--", lw=0.7, label="true")
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.legend(fontsize=8)

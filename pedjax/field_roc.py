@@ -19,7 +19,7 @@ from pedjax.recording import Clock, Recording
 from pedjax.running import Track
 from pedjax.running import run as run_system
 from pedjax.simulation.footsteps import GAITS
-from pedjax.simulation.labels import largest_changes, stance_edges
+from pedjax.simulation.labels import largest_changes, stance_edges, stance_middles
 from pedjax.simulation.world import SensorTruth
 from pedjax.systems.ma2018 import Ma2018Parameters, north_of
 
@@ -106,8 +106,7 @@ def stance_at(time: np.ndarray, truth: SensorTruth) -> np.ndarray:
 
 def _truths(truth: SensorTruth, here: np.ndarray, steps: int) -> list[np.ndarray]:
     """The largest changes, turn, speed and anomaly of the windows of looks in the stances `here (K,)`."""
-    begin, end = stance_edges(truth.stance)
-    middles = (begin + end) // 2
+    middles = stance_middles(truth.stance)
     field, attitude = truth.magnetic_field[middles], truth.motion.attitude[middles]
     yaw = np.unwrap(np.arctan2(attitude[:, 1, 0], attitude[:, 0, 0]))[here]
     place, time = truth.motion.position[middles, :2][here], truth.time[middles][here]

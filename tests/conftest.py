@@ -30,6 +30,14 @@ def configured():
     return CONFIGURED
 
 
+@pytest.fixture(scope="module", autouse=True)
+def programs_end_with_their_module():
+    """A process may map some 65,000 pieces of memory, and every compiled program takes several: all of the
+    suite's at once are too many."""
+    yield
+    jax.clear_caches()
+
+
 @pytest.fixture
 def rng():
     return np.random.default_rng(5)

@@ -7,6 +7,7 @@ import numpy as np
 from pedjax import parameters
 from pedjax.recording import Landmarks, Recording, Sensor, Stream, Truth
 from pedjax.systems import system
+from tests.reference import filter as oracle
 
 LEAVES = tuple(parameters.specs(system("iez").defaults()))
 
@@ -67,3 +68,26 @@ def shoe_sigmas():
         "stance__shoe__sigma_gyroscope": 0.005,
         "stance__shoe__threshold": 1500.0,
     }
+
+
+def oracle_settings(params, force, heading):
+    """The dense filter's settings from IEZ's parameters, levelled by the mean `force (3,)` of the opening."""
+    return oracle.Settings(
+        gravity=params.gravity,
+        accelerometer=params.process.accelerometer,
+        gyroscope=params.process.gyroscope,
+        accelerometer_bias=params.process.accelerometer_bias,
+        gyroscope_bias=params.process.gyroscope_bias,
+        accelerometer_bias_time=params.process.accelerometer_bias_time,
+        gyroscope_bias_time=params.process.gyroscope_bias_time,
+        sigma_zupt=params.updates.zero_velocity,
+        sigma_zaru=params.updates.zero_angular_rate,
+        initial_attitude_std=params.initial.attitude,
+        initial_heading_std=params.initial.heading_sigma,
+        initial_gyroscope_bias_std=params.initial.gyroscope_bias,
+        initial_position_std=params.initial.position,
+        initial_velocity_std=params.initial.velocity,
+        initial_accelerometer_bias_std=params.initial.accelerometer_bias,
+        initial_C=oracle.levelled_attitude(force, heading),
+        attitude_method=params.updates.attitude_update,
+    )

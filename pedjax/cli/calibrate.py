@@ -57,6 +57,7 @@ def calibrate(args: argparse.Namespace) -> int:
     if args.field is not None and not args.field > 0:
         raise InputError(f"--field {args.field:g} must be a positive strength in µT")
     path, loop, sensor = args.recordings[0], None, args.sensor or ""
+    base = files.read(args.base) if args.base else None
     if args.format is None and clouds.is_cloud(path):
         cloud = clouds.read(path)
         if args.method in LOOPS:
@@ -74,7 +75,7 @@ def calibrate(args: argparse.Namespace) -> int:
             first, last = np.searchsorted(imu.time, args.between)
             imu = imu.crop(int(first), int(last))
         if args.method in (*LOOPS, "auto") and len(imu.time) > imu.rate:
-            loop = fitting.walk_loop(imu, files.read(args.base) if args.base else None)
+            loop = fitting.walk_loop(imu, base)
     method, reason = args.method, "as asked"
     if method == "auto":
         method, reason = fitting.choose(cloud, loop)
@@ -92,9 +93,7 @@ def calibrate(args: argparse.Namespace) -> int:
     else:
         if loop is None:
             raise InputError(f"{path}: too short for a walked loop; record longer, or use --method algebraic")
-        fit = fitting.fit_loop(
-            cloud.name, loop, method, args.field, files.read(args.base) if args.base else None, reason
-        )
+        fit = fitting.fit_loop(cloud.name, loop, method, args.field, base, reason)
         before, after = fit.extra["points"], fit.extra["corrected"]
         figure = None if args.no_figures else loop_figure(before, after, loop.turn, fit.strength, title)
     say(f"{cloud.name}: {fit.method} ({fit.reason})", *_lines(fit))

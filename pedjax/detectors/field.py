@@ -65,23 +65,16 @@ def inclination(field: Array) -> Array:
     return jnp.arctan2(-field[2], jnp.sqrt(field[0] ** 2 + field[1] ** 2 + 1e-12))
 
 
-def _changes(window: Window, of: Callable[[Look], Array], per: str = "step") -> list[Array]:
-    found = [of(after) - of(before) for before, after in pairwise(window)]
-    if per == "step":
-        return found
-    return [y / _apart(a, b) for y, (a, b) in zip(found, pairwise(window), strict=True)]
-
-
-def _apart(before: Look, after: Look) -> Array:
-    return jnp.maximum(after.time - before.time, 1e-3)
-
-
-def _angles(window: Window, of: Callable[[Look], Array], per: str) -> list[Array]:
-    """Changes of an angle, each in (-pi, pi]."""
-    found = [rotations.wrap(y) for y in _changes(window, of)]
-    if per == "step":
-        return found
-    return [y / _apart(a, b) for y, (a, b) in zip(found, pairwise(window), strict=True)]
+def _changes(
+    window: Window, of: Callable[[Look], Array], per: str = "step", angle: bool = False
+) -> list[Array]:
+    """Changes from look to look, of an angle in (-pi, pi], by the step or by the second."""
+    found = []
+    for before, after in pairwise(window):
+        y = of(after) - of(before)
+        y = rotations.wrap(y) if angle else y
+        found.append(y if per == "step" else y / jnp.maximum(after.time - before.time, 1e-3))
+    return found
 
 
 def _size(y: list[Array], absolute: bool) -> list[Array]:
@@ -99,13 +92,11 @@ class Qsf:
 
 
 @parameters
-class Qmd:
+class Qmd(Qsf):
     """The classical quasi-static magnetic field detector (Zhang, Eq. 8-12): energy of the same rate."""
 
     threshold: Array = leaf(5.4, unit="1", low=1e-4, high=1e6, source=f"{_KIT}: 0.1 % of a χ² of three, by 3")
-    sigma_strength: Array = leaf(0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs")
     form: str = setting("energy", choices=("mean", "energy"), source="Zhang")
-    per: str = setting("step", choices=("step", "second"), source=_KIT)
 
 
 @parameters
@@ -160,7 +151,7 @@ class Vector:
     sigma_yaw: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two")
 
 
-def _qsf(p: Qsf | Qmd, window: Window, north: Array) -> Array:
+def _qsf(p: Qsf, window: Window, north: Array) -> Array:
     y = _changes(window, lambda look: strength(look.field), p.per)
     t = _mean_or_energy(y, p.form) / p.sigma_strength**2
     return log_positive(t) - jnp.log(p.threshold)
@@ -178,8 +169,10 @@ def _magyq(p: Magyq, window: Window, north: Array) -> Array:
 
 def _iqsf(p: Iqsf, window: Window, north: Array) -> Array:
     y_strength = _size(_changes(window, lambda look: strength(look.field), p.per), p.absolute)
-    y_gyroscope = _size(_angles(window, lambda look: look.yaw, p.per), p.absolute)
-    y_magnetic = _size(_angles(window, lambda look: look.yaw - azimuth(look.field), p.per), p.absolute)
+    y_gyroscope = _size(_changes(window, lambda look: look.yaw, p.per, angle=True), p.absolute)
+    y_magnetic = _size(
+        _changes(window, lambda look: look.yaw - azimuth(look.field), p.per, angle=True), p.absolute
+    )
     t = _mean_or_energy(y_strength, "mean") / p.sigma_strength**2
     t = t + (_mean_or_energy(y_gyroscope, "mean") + _mean_or_energy(y_magnetic, "mean")) / p.sigma_heading**2
     return log_positive(t) - jnp.log(p.threshold)
@@ -187,7 +180,7 @@ def _iqsf(p: Iqsf, window: Window, north: Array) -> Array:
 
 def _ma(p: Ma, window: Window, north: Array) -> Array:
     if p.theta == "rate":
-        y_heading = _angles(window, lambda look: -azimuth(look.field), p.per)
+        y_heading = _changes(window, lambda look: -azimuth(look.field), p.per, angle=True)
     else:
         y_heading = [rotations.wrap(north - azimuth(look.field)) for look in window[1:]]
     y_inclination = _changes(window, lambda look: inclination(look.field), p.per)

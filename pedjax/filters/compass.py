@@ -109,16 +109,15 @@ def levelled(nav: Navigation, force: Array, mag: Array, level: Level, how: str) 
     """The field `(3, *L)` in navigation axes: turned by the attitude, or by roll and pitch of the specific
     force and the attitude's yaw; with the levelled calibration in between."""
     yaw = rotations.to_euler(nav.attitude)[2]
+    c, s = jnp.cos(yaw), jnp.sin(yaw)
     if how == "force":
         roll, pitch = rotations.tilt(force)
         flat = matvec(rotations.from_euler(roll, pitch, jnp.zeros_like(roll)), mag)
     else:
-        c, s = jnp.cos(yaw), jnp.sin(yaw)
         whole = matvec(nav.attitude, mag)
         flat = jnp.stack([c * whole[0] + s * whole[1], c * whole[1] - s * whole[0], whole[2]])
     x, y = flat[0] - level.offset_x, flat[1] - level.offset_y
     x, y = level.xx * x + level.xy * y, level.xy * x + level.yy * y
-    c, s = jnp.cos(yaw), jnp.sin(yaw)
     return jnp.stack([c * x - s * y, s * x + c * y, flat[2] + 0 * x])
 
 

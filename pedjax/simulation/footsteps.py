@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from pedjax.errors import InputError, suggest
 from pedjax.packing import bucket
@@ -256,6 +255,8 @@ def _path(leg: Leg, here: np.ndarray, where: str, heading: float = 0.0) -> np.nd
     if (apart < 1e-6).any():
         raise InputError(f"{where}: points {int(apart.argmin()) + 1} and the next are the same")
     if leg.spline:
+        from scipy.interpolate import CubicSpline  # here: it takes a third of pedjax's start
+
         s = np.concatenate([[0.0], np.cumsum(apart)])
         closed = np.allclose(points[0], points[-1])
         line = CubicSpline(s, points, bc_type="periodic" if closed else "not-a-knot")

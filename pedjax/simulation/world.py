@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial import KDTree
 
 from pedjax.packing import bucket
 from pedjax.recording import Landmarks, Recording, Sensor, Stream, Truth
@@ -148,6 +147,8 @@ _AWAY = 1e4  # m, where the dipoles are that fill up
 def _near(field: Field, route: np.ndarray) -> Field:
     """The field without the dipoles that are nowhere felt along the route: still free of divergence and
     curl, at a fraction of the cost."""
+    from scipy.spatial import KDTree
+
     place = np.asarray(field.dipoles.position)
     apart, _ = KDTree(route[:, :2]).query(place[:, :2])
     size = np.linalg.norm(np.asarray(field.dipoles.moment), axis=1)

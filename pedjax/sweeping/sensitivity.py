@@ -16,9 +16,10 @@ from pedjax.packing import Batch, pack
 from pedjax.runtime import double_precision
 from pedjax.sweeping.designs import Axis
 from pedjax.sweeping.engine import Job
+from pedjax.tuning.loop import gate_widths, gated
 
 WIDTH = 0.25
-"""Of the soft gate: a hard one says nothing about its threshold."""
+"""Of the soft gates: a hard one says nothing about its threshold."""
 
 
 class Sensitivity(NamedTuple):
@@ -46,8 +47,9 @@ def _loss_and_slope(
 def sensitivity(job: Job, params: Any, axes: Sequence[Axis]) -> Sensitivity:
     """Slopes at `params` along the axes, in float64, through the whole filter."""
     with double_precision():
-        axes = [axis for axis in axes if axis.path != "gate.width"]  # it is what makes the gate soft
-        soft = parameters.cast(parameters.replace(params, {"gate.width": WIDTH}), float)
+        widths = gate_widths(params)
+        axes = [axis for axis in axes if axis.path not in widths]  # they are what makes the gates soft
+        soft = parameters.cast(gated(params, WIDTH), float)
         batch = pack(job.problem.system, soft, job.walks, float)
         at = {axis.path: jnp.asarray([parameters.get(params, axis.path)], float) for axis in axes}
         # the tree of a dict is in the order of its keys: the scales must be too

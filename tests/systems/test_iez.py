@@ -27,26 +27,8 @@ NAMES = {
 def settings_of(params, walk, **changes):
     """The oracle's settings from the package's parameters, levelled by the same samples."""
     first = round(params.initial.levelling_s * RATE)
-    made = oracle.Settings(
-        gravity=params.gravity,
-        accelerometer=params.process.accelerometer,
-        gyroscope=params.process.gyroscope,
-        accelerometer_bias=params.process.accelerometer_bias,
-        gyroscope_bias=params.process.gyroscope_bias,
-        accelerometer_bias_time=params.process.accelerometer_bias_time,
-        gyroscope_bias_time=params.process.gyroscope_bias_time,
-        sigma_zupt=params.updates.zero_velocity,
-        sigma_zaru=params.updates.zero_angular_rate,
-        initial_attitude_std=params.initial.attitude,
-        initial_heading_std=params.initial.heading_sigma,
-        initial_gyroscope_bias_std=params.initial.gyroscope_bias,
-        initial_position_std=params.initial.position,
-        initial_velocity_std=params.initial.velocity,
-        initial_accelerometer_bias_std=params.initial.accelerometer_bias,
-        initial_C=oracle.levelled_attitude(walk.specific_force[:first].mean(axis=0), params.initial.heading),
-        attitude_method=params.updates.attitude_update,
-    )
-    return replace(made, **changes)
+    opening = walk.specific_force[:first].mean(axis=0)
+    return replace(tools.oracle_settings(params, opening, params.initial.heading), **changes)
 
 
 def compare(track, walk, params, tolerance=1e-9, **changes):

@@ -19,6 +19,7 @@ from pedjax.simulation.footsteps import Leg
 from pedjax.simulation.scenarios import Scenario
 from pedjax.simulation.world import simulate
 from pedjax.systems import SYSTEMS
+from tests import tools
 from tests.reference import field as naive
 from tests.reference import filter as dense
 
@@ -107,23 +108,7 @@ def settings_of(p, imu):
     if q.start == "field":
         heading, sigma = heading + naive.wrapped(north - naive.azimuth(seen)), q.start_sigma
     given = (q.strength, q.inclination)
-    inertial = dense.Settings(
-        gravity=p.gravity,
-        accelerometer=p.process.accelerometer,
-        gyroscope=p.process.gyroscope,
-        accelerometer_bias=p.process.accelerometer_bias,
-        gyroscope_bias=p.process.gyroscope_bias,
-        accelerometer_bias_time=p.process.accelerometer_bias_time,
-        gyroscope_bias_time=p.process.gyroscope_bias_time,
-        sigma_zupt=p.updates.zero_velocity,
-        initial_attitude_std=p.initial.attitude,
-        initial_heading_std=sigma,
-        initial_gyroscope_bias_std=p.initial.gyroscope_bias,
-        initial_position_std=p.initial.position,
-        initial_velocity_std=p.initial.velocity,
-        initial_accelerometer_bias_std=p.initial.accelerometer_bias,
-        initial_C=dense.levelled_attitude(force, heading),
-    )
+    inertial = replace(tools.oracle_settings(p, force, heading), initial_heading_std=sigma)
     own = p.field.ma
     magnetic = naive.MagneticSettings(
         update=q.update,
