@@ -57,7 +57,7 @@ def calibrate(args: argparse.Namespace) -> int:
     if args.field is not None and not args.field > 0:
         raise InputError(f"--field {args.field:g} must be a positive strength in µT")
     path, loop, sensor = args.recordings[0], None, args.sensor or ""
-    base = files.read(args.base) if args.base else None
+    base = None
     if args.format is None and clouds.is_cloud(path):
         cloud = clouds.read(path)
         if args.method in LOOPS:
@@ -65,6 +65,7 @@ def calibrate(args: argparse.Namespace) -> int:
         if args.between:
             cloud = cloud.between(*args.between)
     else:
+        base = files.read(args.base) if args.base else None
         recording = read_any(path, args.format)
         only = next(iter(recording.sensors)) if len(recording.sensors) == 1 else "foot"
         sensor = args.sensor or only

@@ -273,35 +273,39 @@ def _path(leg: Leg, here: np.ndarray, where: str, heading: float = 0.0) -> np.nd
 
 
 def _rounded(points: np.ndarray, radius: float, where: str) -> np.ndarray:
-    """A polyline whose corners are arcs."""
+    """A polyline whose corners are arcs, which may follow each other without a straight in between."""
     if not radius > 0:
         raise InputError(f"{where}: radius = {radius:g} m must be positive")
+    sides = np.diff(points, axis=0)
+    lengths = np.linalg.norm(sides, axis=1)
+    ahead = sides / lengths[:, None]
+    turned = np.zeros(len(points))  # at each point, to the left
+    across = ahead[:-1, 0] * ahead[1:, 1] - ahead[:-1, 1] * ahead[1:, 0]
+    turned[1:-1] = np.arctan2(across, (ahead[:-1] * ahead[1:]).sum(axis=1))
+    for (x, y), angle in zip(points, np.degrees(abs(turned)), strict=True):
+        if angle > 170:
+            raise InputError(
+                f"{where}: the corner at ({x:g}, {y:g}) turns back by {angle:.0f} degrees; end the leg there "
+                "and add a leg of kind 'turn'"
+            )
+    back = radius * np.tan(abs(turned) / 2)
+    short = lengths - back[:-1] - back[1:]
+    if (short < -1e-9).any():
+        k = int(short.argmin())
+        (x, y), (to_x, to_y) = points[k : k + 2]
+        raise InputError(
+            f"{where}: from ({x:g}, {y:g}) to ({to_x:g}, {to_y:g}) are {lengths[k]:.2f} m, but the corners "
+            f"at its ends need {back[k] + back[k + 1]:.2f} m for a radius of {radius:g} m; lower radius"
+        )
     parts = [points[:1]]
-    for before, corner, after in zip(points[:-2], points[1:-1], points[2:], strict=True):
-        a, b = before - corner, after - corner
-        la, lb = np.linalg.norm(a), np.linalg.norm(b)
-        a, b = a / la, b / lb
-        inner = math.acos(float(np.clip(a @ b, -1, 1)))
-        turned = math.pi - inner
-        if turned < 1e-3:
-            continue
-        if turned > math.radians(170):
-            raise InputError(
-                f"{where}: the corner at ({corner[0]:g}, {corner[1]:g}) turns back by "
-                f"{math.degrees(turned):.0f} degrees; end the leg there and add a leg of kind 'turn'"
-            )
-        back = radius * math.tan(turned / 2)
-        if back > 0.5 * min(la, lb) + 1e-9:
-            raise InputError(
-                f"{where}: the corner at ({corner[0]:g}, {corner[1]:g}) needs {back:.2f} m on each side "
-                f"for a radius of {radius:g} m, more than half of its shorter side; lower radius"
-            )
-        middle = corner + (a + b) / np.linalg.norm(a + b) * radius / math.cos(turned / 2)
-        begin = corner + back * a - middle
-        sense = math.copysign(1.0, a[1] * b[0] - a[0] * b[1])
-        angles = sense * np.linspace(0.0, turned, max(int(radius * turned / 0.005), 3))
+    for k in np.flatnonzero(abs(turned) > 1e-3).tolist():
+        begin = points[k] - back[k] * ahead[k - 1]
+        side = math.copysign(radius, turned[k])
+        middle = begin + side * np.array([-ahead[k - 1, 1], ahead[k - 1, 0]])
+        angles = np.linspace(0.0, turned[k], max(int(radius * abs(turned[k]) / 0.005), 3))
         c, s = np.cos(angles), np.sin(angles)
-        parts.append(middle + np.column_stack([c * begin[0] - s * begin[1], s * begin[0] + c * begin[1]]))
+        x, y = begin - middle
+        parts.append(middle + np.column_stack([c * x - s * y, s * x + c * y]))
     return np.concatenate([*parts, points[-1:]])
 
 

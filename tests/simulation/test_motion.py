@@ -141,7 +141,7 @@ def test_every_gait_walks(gait):
         (Leg(points=((0.0, 0.0), (0.0, 0.0))), "are the same"),
         (Leg(points=((0.0, 0.0), (5.0, 0.0), (0.0, 0.1))), "turns back by 179 degrees"),
         (Leg(points=((0.0, 0.0), (5.0, 0.0), (5.0, 5.0)), radius=0.2), "more than a foot can"),
-        (Leg(points=((0.0, 0.0), (5.0, 0.0), (5.0, 1.0)), radius=2.0), "more than half of its shorter side"),
+        (Leg(points=((0.0, 0.0), (5.0, 0.0), (5.0, 1.0)), radius=2.0), "need 2.00 m for a radius of 2 m"),
         (Leg(kind="crawl"), "kind 'crawl' is unknown"),
         (Leg(points=((0.0, 0.0), (5.0, 0.0)), gait="wlak"), "did you mean 'walk'"),
         (Leg(kind="elevator", climb=50.0, seconds=2.0), "too fast"),

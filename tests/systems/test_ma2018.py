@@ -67,9 +67,13 @@ def both(plain, building):
     return {"munich": plain, "building": building}
 
 
+LOOSE = {"field.ma.threshold": 170.0, "field.iqsf.threshold": 170.0, "field.qsf.threshold": 11.0}
+"""Nearly every look counts, so that there is something to see."""
+
+
 def ma(**changes):
     """Parameters with changes, `__` for the dot."""
-    return parameters.replace(MA.defaults(), {k.replace("__", "."): v for k, v in changes.items()})
+    return parameters.replace(MA.defaults(), LOOSE | {k.replace("__", "."): v for k, v in changes.items()})
 
 
 def unsure(**changes):
