@@ -167,6 +167,9 @@ def _without_duplicates(stream: Stream) -> Stream:
     return Stream(stream.time[keep], stream.values[keep])
 
 
+_HELD = 0.5  # s for which a field is still the last or the first one
+
+
 def _interpolate(stream: Stream, time: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(time, stream.time, column) for column in stream.values.T], axis=-1)
 
@@ -176,7 +179,8 @@ def inertial(recording: Recording, sensor: str = "foot", clock: Clock | None = N
 
     `clock` says how to read the time stamps: `stamps` takes them as they are (true dt), `uniform` takes
     the samples as evenly spaced between the first and the last stamp (late arrivals), `resample`
-    interpolates onto an even grid. Default: what the reader chose for this format.
+    interpolates onto an even grid. Default: what the reader chose for this format. More than half a second
+    from the nearest reading of the magnetometer the field is NaN: held, it would look quasi-static.
     """
     source = recording.sensor(sensor)
     gyroscope = source.gyroscope
@@ -202,7 +206,9 @@ def inertial(recording: Recording, sensor: str = "foot", clock: Clock | None = N
         raise InputError(f"clock '{clock}' is unknown{suggest(clock, ('stamps', 'uniform', 'resample'))}")
     magnetic = None
     if source.magnetometer is not None:
-        magnetic = _interpolate(_without_duplicates(source.magnetometer), time)
+        stream = _without_duplicates(source.magnetometer)
+        magnetic = _interpolate(stream, time)
+        magnetic[(time < stream.time[0] - _HELD) | (time > stream.time[-1] + _HELD)] = np.nan
     steps = np.diff(time)
     dt = np.concatenate([steps[:1], steps])
     return Inertial(time, dt, force, rate, magnetic)

@@ -76,11 +76,19 @@ def _scan(system: System, params: Any, inputs: Inputs) -> Output:
 def check_walk(system: System, params: Any, walk: Walk) -> None:
     """Refuse a recording shorter than the detector's window, or without a sensor that the system needs."""
     window = window_samples(params.stance, nominal_rate(walk.imu))
-    if system.magnetic and walk.imu.magnetic_field is None:
-        raise InputError(
-            f"{walk.name}: the system '{system.name}' needs a magnetometer and this sensor has none; choose "
-            "another --sensor, or another --system (iez)"
-        )
+    if system.magnetic:
+        field = walk.imu.magnetic_field
+        if field is None:
+            raise InputError(
+                f"{walk.name}: the system '{system.name}' needs a magnetometer and this sensor has none; "
+                "choose another --sensor, or another --system (iez)"
+            )
+        known = np.isfinite(field).all(axis=1).mean()
+        if known < 1:
+            raise InputError(
+                f"{walk.name}: the magnetometer has readings for {known:.0%} of the walk only; cut the "
+                "recording to where it has, or choose --system iez"
+            )
     if len(walk.imu.time) < 2 * window:
         raise InputError(
             f"{walk.name}: {len(walk.imu.time)} samples are too few for a stance window of {window} "

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import pedjax
 from pedjax.errors import InputError
 from pedjax.recording import Landmarks, Recording, Sensor, Stream, Truth, inertial
 
@@ -196,6 +197,19 @@ def test_different_clocks_are_interpolated_without_extrapolation(signals):
     assert imu.time[0] >= t[20]
     assert imu.time[-1] <= t[-1]
     np.testing.assert_allclose(imu.specific_force[:, 0], np.interp(imu.time, t, f[:, 0]))
+
+
+def test_a_field_is_not_held_beyond_its_stream(signals):
+    t, f, w, m = signals
+    sensor = Sensor(Stream(t, f), Stream(t, w), Stream(t[100:400], m[100:400]))
+    recording = Recording("walk", {"foot": sensor})
+    imu = inertial(recording)
+    known = (t >= t[100] - 0.5) & (t <= t[399] + 0.5)
+    np.testing.assert_array_equal(np.isfinite(imu.magnetic_field).all(axis=1), known)
+    with pytest.raises(
+        InputError, match=r"walk: the magnetometer has readings for 67% of the walk only; cut"
+    ):
+        pedjax.run(recording, "ma2018")
 
 
 def test_sensor_by_name_and_crop(signals):

@@ -35,7 +35,7 @@ def add_parser(commands: Any, recordings: argparse.ArgumentParser) -> None:
         help="use this stretch, s on the recording's clock (default: all of it)",
     )  # fmt: skip
     parser.add_argument(
-        "--factor", choices=("symmetric", "upper"), default="symmetric",
+        "--factor", choices=("symmetric", "upper"),
         help="form of the matrix of an ellipsoid (default: symmetric)",
     )  # fmt: skip
     parser.add_argument("--no-refine", action="store_true", help="leave the algebraic fit as it is")
@@ -84,10 +84,22 @@ def calibrate(args: argparse.Namespace) -> int:
         raise InputError(
             f"--base is for loops, and the method is {method}; leave it out, or use --method lsq"
         )
+    given = {"--factor": args.factor, "--no-refine": args.no_refine, "--no-align": args.no_align}
+    alien = [name for name, value in given.items() if value]
+    if alien and method in LOOPS:
+        raise InputError(
+            f"{alien[0]} is for ellipsoids, and the method is {method}; leave it out, or use --method clsef"
+        )
     title = f"{cloud.name}: {method}"
     if method in CLOUDS:
         fit = fitting.fit_cloud(
-            cloud, method, args.field, args.factor, not args.no_refine, not args.no_align, reason
+            cloud,
+            method,
+            args.field,
+            args.factor or "symmetric",
+            not args.no_refine,
+            not args.no_align,
+            reason,
         )
         matrix, away = fit.calibration.matrix, cloud.field - fit.calibration.hard_iron
         figure = None if args.no_figures else cloud_figure(cloud.field, away @ matrix.T, fit.strength, title)

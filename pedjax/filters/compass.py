@@ -17,7 +17,7 @@ from pedjax.calibration.magnetometer import Calibration
 from pedjax.detectors.field import Look, Window, inclination
 from pedjax.filters.measurements import yaw_row
 from pedjax.filters.strapdown import Navigation
-from pedjax.lanes import constant, matvec
+from pedjax.lanes import constant, dot, matvec
 from pedjax.parameters import leaf, parameters, setting
 
 _KIT = "kit choice"
@@ -180,3 +180,11 @@ def heading_sigma(p: HeadingNoise, field: Array, reference: Array) -> Array:
     odd = (jnp.sqrt(size) / reference[0] - 1) ** 2 + (inclination(field) - reference[1]) ** 2
     square = p.floor**2 + p.field**2 / level + steep * p.tilt**2 + p.oddity**2 * odd
     return jnp.sqrt(square)
+
+
+def offset_variance(attitude: Array, field: Array, covariance: Array) -> Array:
+    """Variance `(*L)` rad² of the heading of a field `(3, *L)` in navigation axes for the `covariance
+    (3, 3, *L)` in µT² of an offset in body axes: of its part across the horizontal field."""
+    level = field[0] ** 2 + field[1] ** 2 + 1e-6
+    across = (attitude[1] * field[0] - attitude[0] * field[1]) / level  # d azimuth / d offset
+    return dot(across, matvec(covariance, across))

@@ -47,25 +47,22 @@ _MOVED = "BROAD 02 and 21: field along the optical truth, 0.4 at 1.5 rad/s and 1
 
 
 @parameters
-class HardIronParameters:
+class TrackerParameters:
     """Noise of the readings, wandering of field and offset, and the gate.
 
     The field wanders by `still` and, with the rate ω of turning, by `turning` ω: who turns it also moves it,
     and what is wrong with the gyroscope's scale or the clocks counts as well. After T s of turning the
     offset is known to about that wandering over ω √T: in a room with more iron than that of the trials below
-    it takes a larger `still`, and longer. `lag` is the time by which the magnetometer is behind the
-    gyroscope. Not accounted for, τ s of it look like an offset of τ ω × field, and 13 ms are enough for
-    false finds on a board that turns quickly. The innovations, each in units of its own spread, are averaged
+    it takes a larger `still`, and longer. The innovations, each in units of its own spread, are averaged
     over `window`; where that average, normed to a χ² of three degrees of freedom, is above `threshold`,
     field and offset both wander by `jump`.
     """
 
     noise: Array = leaf(0.085, unit="uT/sqrt(Hz)", low=1e-4, high=10.0, source=_REST)
-    still: Array = leaf(0.1, unit="uT/sqrt(s)", low=1e-4, high=10.0, source=_KIT)
+    still: Array = leaf(0.1, unit="uT/sqrt(s)", low=1e-4, high=100.0, source=_KIT)
     turning: Array = leaf(0.3, unit="uT sqrt(s)/rad", low=1e-4, high=10.0, source=_MOVED)
     offset: Array = leaf(0.02, unit="uT/sqrt(s)", low=1e-5, high=10.0, source=_KIT)
     bias: Array = leaf(1e-5, unit="rad/s^2/sqrt(Hz)", low=1e-9, high=0.1, source=_KIT)
-    lag: Array = leaf(0.0, unit="s", low=0.0, high=0.2, scale="linear", source="0: none")
     window: Array = leaf(0.1, unit="s", low=0.01, high=10.0, source=_KIT)
     threshold: Array = leaf(30.0, unit="1", low=1.0, high=1e4, source="kit choice: 1e-6 by chance")
     width: Array = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: a hard test")
@@ -73,6 +70,17 @@ class HardIronParameters:
     initial_field: Array = leaf(50.0, unit="uT", low=0.1, high=1e3, source="kit choice: a field")
     initial_offset: Array = leaf(0.7, unit="uT", low=0.01, high=1e3, source="kit choice: calibrated before")
     initial_bias: Array = leaf(0.005, unit="rad/s", low=1e-7, high=1.0, source="kit choice: 0.3 deg/s")
+
+
+@parameters
+class HardIronParameters(TrackerParameters):
+    """The tracker's, and `lag`, the time by which the magnetometer is behind the gyroscope.
+
+    Not accounted for, τ s of it look like an offset of τ ω × field, and 13 ms are enough for false finds on a
+    board that turns quickly.
+    """
+
+    lag: Array = leaf(0.0, unit="s", low=0.0, high=0.2, scale="linear", source="0: none")
 
 
 class HardIron(NamedTuple):
@@ -102,7 +110,7 @@ class State(NamedTuple):
     jump: Array
 
 
-def start(p: HardIronParameters, reading: Array) -> State:
+def start(p: TrackerParameters, reading: Array) -> State:
     """No offset and no bias, and all of the first `reading (3,)` field."""
     shape = lane_shape(p, reading[0])
     none = jnp.zeros(shape, reading.dtype)
@@ -113,12 +121,14 @@ def start(p: HardIronParameters, reading: Array) -> State:
     return State(field, zero, zero, ff, empty, empty, bb, empty, ww, zero, none)
 
 
-def step(p: HardIronParameters, state: State, rate: Array, reading: Array, dt: Array) -> State:
-    """Over `dt` s with `rate (3,)` rad/s to the next `reading (3,)` µT, left out where it is no number."""
+def step(p: TrackerParameters, state: State, rate: Array, reading: Array, dt: Array) -> State:
+    """Over `dt` s with `rate (3,)` rad/s to the next `reading (3,)` µT, left out where it is no number. With
+    dt = 0, padding, all stays."""
     lanes = state.jump.ndim
     rate, reading, dt = align(rate, 1, lanes), align(reading, 1, lanes), align(dt, 0, lanes)
     one = eye(3, state.jump)
-    read = jnp.all(jnp.isfinite(reading), axis=0)
+    passes = dt > 0
+    read = jnp.all(jnp.isfinite(reading), axis=0) & passes
     reading = jnp.where(read, reading, 0.0)
     weight = read.astype(reading.dtype)
 
@@ -137,7 +147,8 @@ def step(p: HardIronParameters, state: State, rate: Array, reading: Array, dt: A
     ww = state.ww + dt * p.bias * p.bias * one
 
     # the reading is field + offset: H = [I I 0]
-    noise = p.noise * p.noise / dt * one
+    since = jnp.where(passes, dt, 1.0)  # finite, with finite slopes, where nothing is read
+    noise = p.noise * p.noise / since * one
     spread = ff + fb + transpose(fb) + bb
     innovation = weight * (reading - field - state.offset)
     lower = cholesky(weight * spread + noise)
@@ -154,8 +165,9 @@ def step(p: HardIronParameters, state: State, rate: Array, reading: Array, dt: A
 
     share = weight * dt / (dt + p.window)
     lean = (1 - share) * state.lean + share * add(one[:, i] * e for i, e in enumerate(z))
-    usual = dt / (2 * p.window + dt)  # variance of the average of white innovations
+    usual = since / (2 * p.window + since)  # variance of the average of white innovations
     jump = 1 - gate(log_positive(dot(lean, lean) / (usual * p.threshold)), p.width)
+    jump = jnp.where(passes, jump, state.jump)
     return State(
         field + moved(to_field),
         state.offset + moved(to_offset),
@@ -171,6 +183,19 @@ def step(p: HardIronParameters, state: State, rate: Array, reading: Array, dt: A
     )
 
 
+def sigma(state: State) -> Array:
+    """Standard deviation `(3, *L)` µT of the offset."""
+    return jnp.sqrt(jnp.stack([state.bb[axis, axis] for axis in range(3)]))
+
+
+def delayed(rate: Array, dt: Array, lag: ArrayLike) -> Array:
+    """Rates `(T, 3, *L)` as they were `lag (*L)` s before each sample, the first before the first."""
+    time = jnp.cumsum(dt)
+    lag = jnp.asarray(lag, time.dtype)
+    then = align(time, 1, lag.ndim) - lag
+    return jnp.stack([jnp.interp(then, time, rate[:, axis]) for axis in range(3)], axis=1)
+
+
 def track_hard_iron(rate: ArrayLike, field: ArrayLike, dt: ArrayLike, params: HardIronParameters) -> HardIron:
     """Hard iron after each sample from angular rates `rate (T, 3)` rad/s, readings `field (T, 3)` µT and the
     intervals `dt (T,)` s that end at each of them.
@@ -179,15 +204,11 @@ def track_hard_iron(rate: ArrayLike, field: ArrayLike, dt: ArrayLike, params: Ha
     """
     rate, field, dt = jnp.asarray(rate), jnp.asarray(field), jnp.asarray(dt)
     params = jax.tree.map(partial(jnp.asarray, dtype=field.dtype), params)
-    time = jnp.cumsum(dt)
-    lag = jnp.asarray(params.lag, time.dtype)
-    then = align(time, 1, lag.ndim) - lag
-    late = jnp.stack([jnp.interp(then, time, rate[:, axis]) for axis in range(3)], axis=1)
+    late = delayed(rate, dt, params.lag)
 
     def scanned(state: State, sample: tuple[Array, Array, Array]) -> tuple[State, HardIron]:
         state = step(params, state, *sample)
-        variance = jnp.stack([state.bb[axis, axis] for axis in range(3)])
-        return state, HardIron(state.offset, jnp.sqrt(variance), state.jump)
+        return state, HardIron(state.offset, sigma(state), state.jump)
 
     return jax.lax.scan(scanned, start(params, field[0]), (late, field, dt))[1]
 

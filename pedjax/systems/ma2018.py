@@ -8,7 +8,7 @@ The same parts give the systems it is compared with: field.detector = "iqsf" or 
 "none", pure ZUPT. Beyond the paper: heading noise from field, tilt and oddity; tails heavier than a
 Gaussian's, by which a heading far from the expected one counts less and none is locked out for ever; updates
 that ask of the field only that it is what it was (Afzal 2011), anchored at the window's start or from look to
-look.
+look; and hard iron that changes while walking, tracked from turning and taken off the readings.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from jax.typing import ArrayLike
 
 from pedjax import rotations
 from pedjax.detectors import field as detectors
-from pedjax.filters import compass, covariance, measurements
+from pedjax.filters import compass, covariance, hard_iron, measurements
 from pedjax.filters.compass import Body, HeadingNoise, Level, Looking, Looks
+from pedjax.filters.hard_iron import TrackerParameters
 from pedjax.filters.strapdown import Navigation
 from pedjax.gates import gate
 from pedjax.lanes import align, constant, lane_shape, matmul
@@ -38,6 +39,20 @@ _QUARTER_TURN = 1.5707963267948966
 
 
 @parameters
+class Tracker(TrackerParameters):
+    """The tracker of hard iron; `lag_s`, by which the magnetometer is behind the gyroscope, is a fixed choice
+    here, since every parameter set shares the signals.
+
+    A rate that is sampled, not averaged over its interval, makes half an interval of it, less the delay of
+    the gyroscope's own filter. Where iron is near, such as in buildings at foot height, the field wanders by
+    still = 20 µT/√s; then the gate is no help (threshold = 300), and offset = 0.3 µT/√s follows a magnet
+    within a minute.
+    """
+
+    lag_s: float = setting(0.0, source="0: none")
+
+
+@parameters
 class Compass:
     """What is made of the field."""
 
@@ -46,10 +61,11 @@ class Compass:
     )
     row: str = setting("full", choices=("full", "simple"), source="Ma 2018; simple: [0, 0, 1]")
     start: str = setting("field", choices=("field", "given"), source=f"{_KIT}: yaw from the first field")
+    hard_iron: str = setting("fixed", choices=("fixed", "tracked"), source="fixed: published")
     reference: str = setting("running", choices=("running", "given"), source=_KIT)
     gyroscope_rows: bool = setting(False, source="Afzal 2011: option")
     declination: Array = leaf(0.0, unit="rad", low=-3.2, high=3.2, scale="linear", source="0: magnetic north")
-    start_sigma: Array = leaf(0.1, unit="rad", low=1e-4, high=3.2, source=_KIT)
+    start_sigma: Array = leaf(0.01, unit="rad", low=1e-4, high=3.2, source=_KIT)
     tail: Array = leaf(1e6, unit="1", low=0.1, high=1e9, source="1e6, a Gaussian: published")
     strength: Array = leaf(48.0, unit="uT", low=10.0, high=100.0, source=f"{_KIT}: mid-latitudes")
     inclination: Array = leaf(1.1, unit="rad", low=-1.6, high=1.6, scale="linear", source=_KIT)
@@ -57,6 +73,7 @@ class Compass:
     body: Body = group(Body)
     level: Level = group(Level)
     noise: HeadingNoise = group(HeadingNoise)
+    tracker: Tracker = group(Tracker)
 
 
 @parameters
@@ -68,10 +85,12 @@ class Ma2018Parameters(IezParameters):
 
 
 class Sample(NamedTuple):
-    """An inertial sample and the field `(3,)` µT in body axes."""
+    """An inertial sample, the field `(3,)` µT in body axes, and the rate `(3,)` when the field was so, if
+    that was not now."""
 
     inertial: iez.Sample
     field: Array
+    late: Array | tuple[()]
 
 
 class Opening(NamedTuple):
@@ -84,7 +103,7 @@ class Opening(NamedTuple):
 class State(NamedTuple):
     """IEZ's state; the looks at the field; whether it was `quasi`-static at the last one; the `anchor
     (3, *L)` that it is compared with; the `reference (2, *L)` strength and inclination; the sample
-    `before`."""
+    `before`; and the `tracker` of hard iron, if there is one."""
 
     inertial: iez.State
     looks: Looks
@@ -92,6 +111,7 @@ class State(NamedTuple):
     anchor: Array
     reference: Array
     before: Array
+    tracker: hard_iron.State | tuple[()]
 
     @property
     def navigation(self) -> Navigation:
@@ -110,7 +130,11 @@ def prepare(p: Ma2018Parameters, signals: Signals, rate_hz: float, length: Array
     inertial = iez.prepare(p, signals, rate_hz, length)
     first = max(round(p.initial.levelling_s * rate_hz), 1)
     opening = Opening(inertial.opening, jnp.mean(signals.field[:first], axis=0))
-    return Inputs(Sample(inertial.samples, signals.field), opening)
+    q = p.compass
+    late: Array | tuple[()] = ()
+    if q.hard_iron == "tracked" and q.tracker.lag_s > 0:
+        late = hard_iron.delayed(signals.rate, signals.dt, q.tracker.lag_s)
+    return Inputs(Sample(inertial.samples, signals.field, late), opening)
 
 
 def north_of(p: Compass) -> Array:
@@ -139,7 +163,8 @@ def start(p: Ma2018Parameters, opening: Opening) -> State:
     else:
         reference = jnp.stack([p.compass.strength + like, p.compass.inclination + like])
     looks = compass.first(like, p.field.window)
-    return State(inertial, looks, like, jnp.zeros_like(mag), reference, mag)
+    tracker = hard_iron.start(p.compass.tracker, mag) if p.compass.hard_iron == "tracked" else ()
+    return State(inertial, looks, like, jnp.zeros_like(mag), reference, mag, tracker)
 
 
 def step(p: Ma2018Parameters, state: State, sample: Sample) -> tuple[State, Output]:
@@ -150,6 +175,11 @@ def step(p: Ma2018Parameters, state: State, sample: Sample) -> tuple[State, Outp
     mag = compass.in_body(p.compass.body, align(sample.field, 1, lanes))
     force, rate = (align(x, 1, lanes) for x in (sample.inertial.force, sample.inertial.rate))
     q, north = p.compass, north_of(p.compass)
+    tracker = state.tracker
+    if isinstance(tracker, hard_iron.State):
+        late = rate if isinstance(sample.late, tuple) else align(sample.late, 1, lanes)
+        tracker = hard_iron.step(q.tracker, tracker, late, mag, dt)
+        mag = mag - tracker.offset
 
     specific = force - nav.accelerometer_bias
     same = q.update in (
@@ -164,7 +194,11 @@ def step(p: Ma2018Parameters, state: State, sample: Sample) -> tuple[State, Outp
     quasi = whole * gate(ratio, p.field.width, p.field.straight_through)
     begins = (now > 0) & (quasi > 0.5) & (state.quasi <= 0.5)
     anchor = jnp.where(begins, looks.window[0].field, state.anchor)
-    sigma = compass.heading_sigma(q.noise, seen.field, state.reference)
+    sigma, sigma_field = compass.heading_sigma(q.noise, seen.field, state.reference), q.noise.field
+    if isinstance(tracker, hard_iron.State):
+        sigma = jnp.sqrt(sigma * sigma + compass.offset_variance(nav.attitude, seen.field, tracker.bb))
+        every = tracker.bb[0, 0] + tracker.bb[1, 1] + tracker.bb[2, 2]  # a bound for any direction
+        sigma_field = jnp.sqrt(sigma_field * sigma_field + every)
     innovation = rotations.wrap(north - detectors.azimuth(seen.field))
     if not same:
         if q.row == "simple":
@@ -176,7 +210,7 @@ def step(p: Ma2018Parameters, state: State, sample: Sample) -> tuple[State, Outp
         rows = measurements.heading(innovation, row, sigma)
     else:
         against = anchor if q.update == "anchored" else looks.window[-2].field
-        rows = measurements.same_field(seen.field, against, q.noise.field)
+        rows = measurements.same_field(seen.field, against, sigma_field)
     degrees = rows.innovation.shape[0]
     far = covariance.normalised_innovation(P, rows)
     weight = now * quasi * (q.tail + degrees) / (q.tail + far)
@@ -208,8 +242,10 @@ def step(p: Ma2018Parameters, state: State, sample: Sample) -> tuple[State, Outp
         "heading_innovation": innovation,
         "heading_sigma": sigma,
     }
+    if isinstance(tracker, hard_iron.State):
+        more |= {"hard_iron": tracker.offset, "hard_iron_sigma": hard_iron.sigma(tracker)}
     output = output._replace(navigation=nav, variances=covariance.variances(P), more=more)
-    return State(inertial, looks, quasi, anchor, reference, mag + 0 * state.before), output
+    return State(inertial, looks, quasi, anchor, reference, mag + 0 * state.before, tracker), output
 
 
 def defaults() -> Ma2018Parameters:
@@ -217,13 +253,18 @@ def defaults() -> Ma2018Parameters:
     return Ma2018Parameters()
 
 
+TRACKER = tuple(f"compass.tracker.{name}" for name in ("still", "turning", "offset", "threshold", "jump"))
+"""The tracker's main numbers: how field and offset wander, and when and how far they jump."""
+
+
 def tunable(p: Ma2018Parameters) -> tuple[str, ...]:
-    """IEZ's, and those of the field detector and of the heading noise."""
+    """IEZ's, and those of the field detector, of the heading noise, and of the tracker if it is on."""
     detector = p.field.detector
     thresholds = {"magyq": ("variance",), "vector": ("false_alarm", "change")}
     own = tuple(f"field.{detector}.{name}" for name in thresholds.get(detector, ("threshold",)))
     noise = ("compass.noise.floor", "compass.noise.field", "compass.tail", "compass.start_sigma")
-    return (*iez.tunable(p), *own, *noise)
+    tracker = TRACKER if p.compass.hard_iron == "tracked" else ()
+    return (*iez.tunable(p), *own, *noise, *tracker)
 
 
 MA2018 = System(

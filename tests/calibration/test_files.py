@@ -170,6 +170,8 @@ def test_command_with_a_walk(at_home, tmp_path, capsys):
     both = files.read(out / "calibration.toml")
     np.testing.assert_array_equal(both.hard_iron, [5.0, -3.0, 2.0])
     assert np.hypot(*both.level_offset) > 3.0
+    assert command(tmp_path / "walk.csv", "--method", "lsq", "--no-align", "--out", tmp_path / "none") == 1
+    assert "--no-align is for ellipsoids" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from pedjax import filtering, parameters
 from pedjax.detectors.field import Look, log_ratio
 from pedjax.ensemble import Problem, losses
 from pedjax.errors import InputError
+from pedjax.filters import compass, hard_iron
 from pedjax.packing import pack, prepare, walk
 from pedjax.recording import Stream
 from pedjax.simulation.footsteps import Leg
@@ -269,8 +270,10 @@ SLOPES = {
 
 
 @pytest.mark.slow
-def test_walks_in_columns_equal_one_by_one(both):
-    p = parameters.cast(unsure(), float)
+@pytest.mark.parametrize("iron", ["fixed", "tracked"])
+def test_walks_in_columns_equal_one_by_one(both, iron):
+    """Padding and what comes after it included."""
+    p = parameters.cast(unsure(compass__hard_iron=iron), float)
     walks = [walk(made.recording) for made in both.values()]
     values = {"compass.noise.floor": jnp.array([0.03, 0.3])}
     problem = Problem(MA, "rms_2d", "none")
@@ -281,10 +284,27 @@ def test_walks_in_columns_equal_one_by_one(both):
         np.testing.assert_allclose(together[:, i], alone[:, 0], rtol=1e-9)
 
 
+TRACKER_SLOPES = {
+    "compass.tracker.noise": 0.1,
+    "compass.tracker.still": 3.0,
+    "compass.tracker.turning": 0.3,
+    "compass.tracker.offset": 0.1,
+    "compass.tracker.window": 0.1,
+    "compass.tracker.threshold": 100.0,
+    "compass.tracker.jump": 10.0,
+    "compass.tracker.initial_offset": 2.0,
+}
+
+
 @pytest.mark.slow
-def test_gradients_of_a_landmark_error_equal_differences(building):
-    p = unsure(field__width=0.5, gate__width=0.25)
-    p = parameters.cast(parameters.replace(p, SLOPES), float)
+@pytest.mark.parametrize(
+    ("slopes", "more"),
+    [(SLOPES, {}), (TRACKER_SLOPES, {"compass__hard_iron": "tracked", "compass__tracker__width": 0.5})],
+    ids=["heading", "tracker"],
+)
+def test_gradients_of_a_landmark_error_equal_differences(building, slopes, more):
+    p = unsure(field__width=0.5, gate__width=0.25, **more)
+    p = parameters.cast(parameters.replace(p, slopes), float)
     found = walk(building.recording)
     inputs = prepare(MA, p, found.imu, float, len(found.imu.time))
     at, there = jnp.asarray(found.index), jnp.asarray(found.position[:, :2])
@@ -297,7 +317,7 @@ def test_gradients_of_a_landmark_error_equal_differences(building):
         _, place = filtering.scan(MA, q, inputs.samples, state, lambda o: o.navigation.position)
         return jnp.sqrt(jnp.mean(jnp.sum((place[at, :2] - there) ** 2, axis=1)))
 
-    values = {name: jnp.asarray(x) for name, x in SLOPES.items()}
+    values = {name: jnp.asarray(x) for name, x in slopes.items()}
     loss, gradient = error(values)
     assert 0.01 < loss < 20
     for name, x in values.items():
@@ -334,10 +354,125 @@ def test_the_first_heading_is_the_compass(plain):
     assert given.euler[0, 2] == pytest.approx(0.5, abs=1e-3)
 
 
+MAGNET = np.array([12.0, -8.0, 5.0])
+IRON = {"compass.hard_iron": "tracked", "compass.tracker.lag_s": 0.004}
+"""At 100 Hz sampled rates are half an interval ahead, less what the gyroscope's bandwidth takes."""
+
+
+def with_magnet(made, on):
+    """The recording with a magnet on the foot at samples `on (T,)`."""
+    foot = made.recording.sensors["foot"]
+    field = foot.magnetometer
+    there = replace(foot, magnetometer=Stream(field.time, field.values + on[:, None] * MAGNET))
+    return replace(made.recording, sensors={"foot": there})
+
+
+def from_half(made):
+    time = made.recording.sensors["foot"].magnetometer.time
+    return time > 0.5 * (time[0] + time[-1])
+
+
+def test_by_default_no_hard_iron_is_tracked(prepared):
+    p, _, inputs = prepared
+    assert p.compass.hard_iron == "fixed"
+    assert inputs.samples.late == MA.start(p, inputs.opening).tracker == ()
+    assert not any("tracker" in path for path in MA.tunable(p))
+    on = parameters.replace(p, {"compass.hard_iron": "tracked"})
+    assert set(MA.tunable(on)) - set(MA.tunable(p)) <= set(parameters.specs(on))
+    assert "compass.tracker.still" in MA.tunable(on)
+
+
+def test_tracked_is_taking_the_tracked_offsets_off_beforehand(building):
+    """With a magnetometer that is late; and the heading is as much less certain as the offset."""
+    rows = {"still": 3.0, "threshold": 100.0, "initial_offset": 5.0}
+    tracker = {f"compass__tracker__{k}": v for k, v in rows.items()}
+    tracked = unsure(
+        compass__update="none", initial__levelling_s=0.0, compass__hard_iron="tracked",
+        compass__tracker__lag_s=0.013, **tracker,
+    )  # fmt: skip
+    tracked = parameters.cast(tracked, float)
+    imu = walk(with_magnet(building, from_half(building))).imu.crop(1000, 2600)
+    inputs = prepare(MA, tracked, imu, float, 1600)
+    _, ours = scan(MA, tracked, inputs.samples, MA.start(tracked, inputs.opening))
+
+    alone = parameters.cast(parameters.replace(hard_iron.HardIronParameters(), {**rows, "lag": 0.013}), float)
+    iron = jax.jit(hard_iron.track_hard_iron)(imu.angular_rate, imu.magnetic_field, imu.dt, alone)
+    np.testing.assert_allclose(ours.more["hard_iron"], iron.offset, atol=1e-9)
+    np.testing.assert_allclose(ours.more["hard_iron_sigma"], iron.sigma, atol=1e-9)
+    assert np.abs(iron.offset[-1]).max() > 3.0
+    fixed = parameters.replace(tracked, {"compass.hard_iron": "fixed"})
+    samples = inputs.samples._replace(field=inputs.samples.field - iron.offset, late=())
+    _, theirs = scan(MA, fixed, samples, MA.start(fixed, inputs.opening))
+    for name in set(theirs.more) - {"heading_sigma"}:
+        np.testing.assert_allclose(ours.more[name], theirs.more[name], atol=1e-9, err_msg=name)
+    same = (ours.navigation, ours.variances), (theirs.navigation, theirs.variances)
+    for a, b in zip(*map(jax.tree.leaves, same), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-9)
+
+    at = theirs.more["look"] > 0
+    assert at.sum() > 10
+    level = np.linalg.norm(theirs.more["magnetic_field"][at, :2], axis=1)
+    added = np.sqrt(ours.more["heading_sigma"] ** 2 - theirs.more["heading_sigma"] ** 2)[at] * level
+    sigma = np.sort(np.linalg.norm(iron.sigma, axis=1)[at])
+    assert (added > 0).all()
+    assert (added < np.linalg.norm(iron.sigma[at], axis=1)).all()
+    assert sigma[-1] > sigma[0]
+
+
+def test_the_heading_is_as_unsure_as_the_offset_across_the_field():
+    """By drawing offsets."""
+    rng = np.random.default_rng(4)
+    attitude = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    root = rng.normal(size=(3, 3)) * [[1.0], [0.2], [2.0]]
+    field = np.array([12.0, 16.0, -40.0])
+    ours = compass.offset_variance(*map(jnp.asarray, (attitude, field, root @ root.T)))
+    moved = field + 1e-4 * rng.normal(size=(40000, 3)) @ (attitude @ root).T
+    drawn = np.std(np.arctan2(moved[:, 1], moved[:, 0])) / 1e-4
+    assert float(ours) ** 0.5 == pytest.approx(drawn, rel=0.02)
+
+
+def test_a_magnet_put_on_while_walking_is_found(plain):
+    """Within a stride, and the heading is as if it were not there."""
+    on = from_half(plain)
+    recording = with_magnet(plain, on)
+    p = parameters.replace(MA.defaults(), IRON)
+    tracks = {
+        "nothing put on": pedjax.run(plain.recording, "ma2018"),
+        "fixed": pedjax.run(recording, "ma2018"),
+        "tracked": pedjax.run(recording, "ma2018", p),
+    }
+    late = {name: yaw_error(t, plain)[on[t.stance > 0.5]] for name, t in tracks.items()}
+    none, fixed, tracked = (float(np.sqrt(np.mean(x**2))) for x in late.values())
+    print(f"yaw off by {none:.1f} deg with nothing put on, {fixed:.1f} fixed, {tracked:.1f} tracked")
+    assert tracked < none + 0.3 < 0.5 * fixed
+    more = tracks["tracked"].more
+    away = np.linalg.norm(more["hard_iron"] - on[:, None] * MAGNET, axis=1)
+    begins = int(np.flatnonzero(on)[0])
+    assert away[:begins].max() < 0.5
+    assert away[begins + 100 :].max() < 0.5
+    np.testing.assert_array_less(more["hard_iron_sigma"][begins + 500 :], 0.6)
+
+
+def test_no_heading_is_certain_until_turning_tells(plain):
+    """A magnet put on in a stance, some samples before its look."""
+    p = parameters.replace(MA.defaults(), IRON)
+    before = pedjax.run(plain.recording, "ma2018", p).more
+    looks = np.flatnonzero(before["look"])
+    for look, samples in ((looks[8], 2), (looks[12], 8)):
+        on = np.arange(len(before["look"])) >= look - samples
+        more = pedjax.run(with_magnet(plain, on), "ma2018", p).more
+        assert more["look"][look] == 1
+        known, doubted = (float(np.degrees(x["heading_sigma"][look])) for x in (before, more))
+        print(f"heading noise at the look: {known:.1f}, with the magnet {doubted:.0f} deg")
+        assert doubted > 5 * known
+        assert doubted > 12
+
+
 CHOICES = [
     {"compass.update": "anchored"},
     {"compass.update": "differential", "compass.row": "simple", "compass.looking.per": "sample"},
     {"field.straight_through": True, "field.width": 0.3},
+    {"compass.hard_iron": "tracked", "compass.update": "anchored", "compass.gyroscope_rows": True},
     *({"field.detector": d} for d in ("qsf", "qmd", "magyq", "iqsf", "vector")),
 ]
 """What no dense filter is there for."""

@@ -1,6 +1,7 @@
 """Which field detector tells a quasi-static field best, and where: Ma 2018, Fig. 8, 13 and 14, as ours.
 
-    python -m experiments.field_roc [--walks N] [--first-seed S] [--set PATH=VALUE] [--out DIR]
+    python -m experiments.ma2018 detection
+    python -m experiments.ma2018.detection [--walks N] [--first-seed S] [--set PATH=VALUE] [--out DIR]
 
 The three loops of an office floor and the three rounds of a mall, walks that nothing was chosen on; the true
 field at the foot says which windows of four stances are quasi-static, by three definitions. Areas under the
@@ -13,11 +14,14 @@ from __future__ import annotations
 
 import argparse
 import itertools
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.ma2018.table import Row, row
 from pedjax import field_roc, parameters
 from pedjax.config import Config, override, resolve
 from pedjax.detectors.field import FIELD_DETECTORS
@@ -30,7 +34,7 @@ from pedjax.plots import roc_curves
 from pedjax.runtime import configure, default_cache
 from pedjax.sources import read_labelled
 
-SCENARIOS = ("office-loop", "mall")
+SCENARIOS = ("office-loop", "mall-gentle", "mall")
 DEFINITIONS = ((1.0, 2.0), (3.0, 5.0), (6.0, 10.0))
 """Largest change from stance to stance that is still quasi-static, µT and degrees."""
 
@@ -147,18 +151,71 @@ def turn_figure(rows: list[dict[str, Any]]) -> Figure:
     return figure
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--walks", type=int, default=12, help="of each scenario")
-    parser.add_argument("--first-seed", type=int, default=100)
-    parser.add_argument("--set", metavar="PATH=VALUE", action="append", default=[], help="a parameter")
-    parser.add_argument("--out", default="out")
-    args = parser.parse_args()
-    configure(cache=default_cache())
-    out = folder(args.out)
-    _, params = resolve(override(Config(system="ma2018"), args.set))
+def table_rows(areas: list[dict[str, Any]], turns: list[dict[str, Any]]) -> list[Row]:
+    """Figs. 8, 13 and 14: the order of the detectors, and what is left of them on curves."""
+    found = []
+    for scenario in SCENARIOS:
+        of = {
+            (line["part"], line["detector"]): line
+            for line in areas
+            if line["scenario"] == scenario and line["field_uT"] == DEFINITIONS[1][0]
+        }
+        for part, published in (("straight", "Ma, iQSF above QSF"), ("curved", "Ma above QSF above iQSF")):
+            if (part, "ma") not in of:
+                continue
+            qsf, iqsf, ma, vector = (of[part, n] for n in ("qsf", "iqsf", "ma", "vector"))
+            if part == "straight":
+                met = min(ma["auc"], iqsf["auc"]) > qsf["auc"]
+            else:
+                met = ma["auc"] > qsf["auc"] > iqsf["auc"]
+            told = ", ".join(f"{n['detector']} {n['auc']:.3f}" for n in (qsf, iqsf, ma))
+            found.append(row("F8", f"{scenario}, {part}: area under ROC", published, told, bool(met)))
+            found.append(
+                row(
+                    "F8", f"{scenario}, {part}: ours above Ma, bands apart", "-",
+                    f"{vector['auc']:.3f} [{vector['auc_low']:.3f}, {vector['auc_high']:.3f}] / "
+                    f"{ma['auc']:.3f} [{ma['auc_low']:.3f}, {ma['auc_high']:.3f}]",
+                    bool(vector["auc_low"] > ma["auc_high"]),
+                )
+            )  # fmt: skip
+        sharp = {n: _on_curves(turns, scenario, n) for n in ("qsf", "iqsf", "ma", "vector")}
+        found.append(
+            row(
+                "F8", f"{scenario}, 20 deg a window and more: found/false", "Ma above QSF above iQSF",
+                ", ".join(f"{n} {x['detection']:.2f}/{x['false_alarm']:.2f}" for n, x in sharp.items()),
+                _gain(sharp["ma"]) > _gain(sharp["qsf"]) > _gain(sharp["iqsf"]),
+            )
+        )  # fmt: skip
+        iqsf, ma = sharp["iqsf"]["passed"], sharp["ma"]["passed"]
+        found.append(
+            row(
+                "F13,14", f"{scenario}, 20 deg a window and more: passed", "iQSF sparse, below 0.3 of Ma",
+                f"iQSF {iqsf:.3f}, Ma {ma:.3f}", bool(iqsf < 0.3 * ma),
+            )
+        )  # fmt: skip
+    return found
+
+
+def _on_curves(turns: list[dict[str, Any]], scenario: str, detector: str) -> dict[str, float]:
+    """Rates in all windows that turn by 20 degrees and more, with the threshold from straight paths."""
+    own = [
+        x for x in turns if (x["scenario"], x["detector"]) == (scenario, detector) and x["turn_from"] >= 20
+    ]
+    found = {}
+    for title in ("detection", "false_alarm", "passed"):
+        some = [x for x in own if x[f"{title}_windows"]]
+        count = [x[f"{title}_windows"] for x in some]
+        found[title] = float(np.average([x[title] for x in some], weights=count))
+    return found
+
+
+def _gain(rates: dict[str, float]) -> float:
+    return rates["detection"] - rates["false_alarm"]
+
+
+def run(seeds: range, out: Path, sets: Sequence[str] = ()) -> list[Row]:
+    """Curves, areas, and detection by turn, all written to `out`; the rows of the table."""
+    _, params = resolve(override(Config(system="ma2018"), list(sets)))
     print("walks that thresholds are chosen on")
     others = walks_of("office-loop", CHOSEN_ON, params)
     chosen = chosen_thresholds(params, others, DEFINITIONS[1])
@@ -166,7 +223,7 @@ def main() -> None:
     turns: list[dict[str, Any]] = []
     for scenario in SCENARIOS:
         print(f"{scenario}: walks held back")
-        walks = walks_of(scenario, range(args.first_seed, args.first_seed + args.walks), params)
+        walks = walks_of(scenario, seeds, params)
         for definition in DEFINITIONS:
             print(f"{scenario}, quasi-static below {definition[0]:g} µT and {definition[1]:g} degrees")
             given = field_roc.labelled(params, list(FIELD_DETECTORS), walks, *definition)
@@ -177,18 +234,32 @@ def main() -> None:
             areas += area_rows(scenario, definition, given, curves)
             if definition == DEFINITIONS[1]:
                 drawn = roc_curves({p: curves[p] for p in PARTS if p in curves})
-                write_figure(out / f"field_roc_{scenario}.png", drawn)
+                write_figure(out / f"figure_8_{scenario}.png", drawn)
         turns += turn_rows(scenario, walks, chosen, DEFINITIONS[1])
     for title, rows in (("areas", areas), ("turns", turns)):
-        write_table(out / f"field_roc_{title}.csv", {key: [row[key] for row in rows] for key in rows[0]})
+        write_table(out / f"detection_{title}.csv", {key: [line[key] for line in rows] for key in rows[0]})
     print("by turn within the window, quasi-static below 3 µT and 5 degrees: detection / false alarm")
-    for row in turns:
+    for line in turns:
         print(
-            f"  {row['scenario']:12} {row['detector']:6} {row['turn_from']:3.0f}-{row['turn_to']:3.0f}: "
-            f"{row['detection']:.2f} [{row['detection_low']:.2f}, {row['detection_high']:.2f}] of "
-            f"{row['detection_windows']}, {row['false_alarm']:.3f} of {row['false_alarm_windows']}"
+            f"  {line['scenario']:12} {line['detector']:6} {line['turn_from']:3.0f}-{line['turn_to']:3.0f}: "
+            f"{line['detection']:.2f} [{line['detection_low']:.2f}, {line['detection_high']:.2f}] of "
+            f"{line['detection_windows']}, {line['false_alarm']:.3f} of {line['false_alarm_windows']}"
         )
-    write_figure(out / "field_roc_turns.png", turn_figure(turns))
+    write_figure(out / "figure_13_14.png", turn_figure(turns))
+    return table_rows(areas, turns)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--walks", type=int, default=12, help="of each scenario")
+    parser.add_argument("--first-seed", type=int, default=100)
+    parser.add_argument("--set", metavar="PATH=VALUE", action="append", default=[], help="a parameter")
+    parser.add_argument("--out", type=Path, default=Path("out/ma2018"))
+    args = parser.parse_args()
+    configure(cache=default_cache())
+    run(range(args.first_seed, args.first_seed + args.walks), folder(args.out), args.set)
 
 
 if __name__ == "__main__":
