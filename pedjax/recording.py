@@ -167,7 +167,7 @@ def _without_duplicates(stream: Stream) -> Stream:
     return Stream(stream.time[keep], stream.values[keep])
 
 
-_HELD = 0.5  # s for which a field is still the last or the first one
+_HELD = 0.5  # s from a reading of the magnetometer, up to which it tells of the field
 
 
 def _interpolate(stream: Stream, time: np.ndarray) -> np.ndarray:
@@ -180,7 +180,7 @@ def inertial(recording: Recording, sensor: str = "foot", clock: Clock | None = N
     `clock` says how to read the time stamps: `stamps` takes them as they are (true dt), `uniform` takes
     the samples as evenly spaced between the first and the last stamp (late arrivals), `resample`
     interpolates onto an even grid. Default: what the reader chose for this format. More than half a second
-    from the nearest reading of the magnetometer the field is NaN: held, it would look quasi-static.
+    from the nearest reading of the magnetometer the field is NaN: made up, it would look quasi-static.
     """
     source = recording.sensor(sensor)
     gyroscope = source.gyroscope
@@ -208,7 +208,9 @@ def inertial(recording: Recording, sensor: str = "foot", clock: Clock | None = N
     if source.magnetometer is not None:
         stream = _without_duplicates(source.magnetometer)
         magnetic = _interpolate(stream, time)
-        magnetic[(time < stream.time[0] - _HELD) | (time > stream.time[-1] + _HELD)] = np.nan
+        after = np.searchsorted(stream.time, time).clip(1, len(stream.time) - 1)
+        away = np.minimum(abs(time - stream.time[after - 1]), abs(stream.time[after] - time))
+        magnetic[away > _HELD] = np.nan
     steps = np.diff(time)
     dt = np.concatenate([steps[:1], steps])
     return Inertial(time, dt, force, rate, magnetic)

@@ -83,11 +83,12 @@ def check_walk(system: System, params: Any, walk: Walk) -> None:
                 f"{walk.name}: the system '{system.name}' needs a magnetometer and this sensor has none; "
                 "choose another --sensor, or another --system (iez)"
             )
-        known = np.isfinite(field).all(axis=1).mean()
-        if known < 1:
+        lost = np.isnan(field).any(axis=1)
+        if lost.any():
+            begins = walk.imu.time[lost.argmax()] - walk.imu.time[0]
             raise InputError(
-                f"{walk.name}: the magnetometer has readings for {known:.0%} of the walk only; cut the "
-                "recording to where it has, or choose --system iez"
+                f"{walk.name}: the magnetometer has no readings for {walk.imu.dt[lost].sum():.1f} s, the "
+                f"first time {begins:.1f} s after the start; use another recording, or --system iez"
             )
     if len(walk.imu.time) < 2 * window:
         raise InputError(

@@ -204,10 +204,14 @@ def test_a_field_is_not_held_beyond_its_stream(signals):
     sensor = Sensor(Stream(t, f), Stream(t, w), Stream(t[100:400], m[100:400]))
     recording = Recording("walk", {"foot": sensor})
     imu = inertial(recording)
-    known = (t >= t[100] - 0.5) & (t <= t[399] + 0.5)
+    known = (t[100] - t <= 0.5) & (t - t[399] <= 0.5)
     np.testing.assert_array_equal(np.isfinite(imu.magnetic_field).all(axis=1), known)
+    kept = np.r_[0:200, 400:600]  # a hole
+    hole = replace(recording, sensors={"foot": replace(sensor, magnetometer=Stream(t[kept], m[kept]))})
+    lost = (t - t[199] > 0.5) & (t[400] - t > 0.5)
+    np.testing.assert_array_equal(np.isnan(inertial(hole).magnetic_field).any(axis=1), lost)
     with pytest.raises(
-        InputError, match=r"walk: the magnetometer has readings for 67% of the walk only; cut"
+        InputError, match=r"walk: the magnetometer has no readings for 2.0 s, the first time 0.0 s after"
     ):
         pedjax.run(recording, "ma2018")
 

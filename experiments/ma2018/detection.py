@@ -208,7 +208,7 @@ def _on_curves(turns: list[dict[str, Any]], scenario: str, detector: str) -> dic
     for title in ("detection", "false_alarm", "passed"):
         some = [x for x in own if x[f"{title}_windows"]]
         count = [x[f"{title}_windows"] for x in some]
-        found[title] = float(np.average([x[title] for x in some], weights=count))
+        found[title] = float(np.average([x[title] for x in some], weights=count)) if some else np.nan
     return found
 
 
@@ -259,7 +259,7 @@ def main() -> None:
     parser.add_argument("--walks", type=int, default=12, help="of each scenario")
     parser.add_argument("--first-seed", type=int, default=100)
     parser.add_argument("--set", metavar="PATH=VALUE", action="append", default=[], help="a parameter")
-    parser.add_argument("--out", type=Path, default=Path("out/ma2018"))
+    parser.add_argument("--out", type=Path, default=Path("out/ma2018_detection"))
     args = parser.parse_args()
     configure(cache=default_cache())
     sets = (*LEVELLING, *args.set)

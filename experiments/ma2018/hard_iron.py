@@ -44,8 +44,8 @@ def mean_error(recording: pedjax.Recording, track: pedjax.Track) -> float:
 
 
 def found(track: pedjax.Track, step: np.ndarray) -> tuple[float, float]:
-    """Seconds until the tracked offset is and stays for a while within 3 µT of the step beyond what it was
-    before, and the RMS error in µT from a minute after the step on."""
+    """Seconds until the tracked offset is and stays for a while within 3 µT of the step, and its RMS error in
+    µT from a minute after it on."""
     time, offset = track.time, track.more["hard_iron"]
     at = np.searchsorted(time, 0.5 * (time[0] + time[-1]))
     away = np.linalg.norm(offset - step, axis=1)
@@ -77,7 +77,8 @@ def main() -> None:
                 for preset in PRESETS:
                     track = pedjax.run(recording, *config.resolve(config.load(preset)))
                     row[f"{preset}_m"] = mean_error(recording, track)
-                row["found_s"], row["off_ut"] = found(track, step if name == "magnet" else 0 * step)
+                seconds, row["off_ut"] = found(track, step if name == "magnet" else 0 * step)
+                row["found_s"] = seconds if name == "magnet" else np.nan
                 rows.append(row)
     keys = list(rows[0])[3:]
     for place in PLACES:

@@ -2,7 +2,7 @@
 
     python -m experiments.ma2018 office mall
 
-Landmark errors after the best yaw and translation. All detectors have the threshold that finds 0.8 of the
+Landmark errors after the best yaw and translation. QSF, iQSF and Ma have the thresholds that find 0.8 of the
 quasi-static windows on straight parts of office loops (seeds 0 to 5), which is where the paper put its own;
 its number, 170, is there as well.
 """

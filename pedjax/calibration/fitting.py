@@ -221,7 +221,8 @@ def walk_loop(imu: Inertial, base: Calibration | None = None, threshold: float |
     mag = apply(base or uncalibrated(), imu.magnetic_field)
     points, up = _numpy(_stances(force, mag, jnp.asarray(ids), bucket(count)))
     onset = np.searchsorted(np.maximum.accumulate(ids), np.arange(count))
-    return Loop(points[:count], _turn(imu, onset, up[:count]))
+    seen = np.isfinite(points[:count]).all(axis=1)  # not where the magnetometer has no readings
+    return Loop(points[:count][seen], _turn(imu, onset, up[:count])[seen])
 
 
 def _turn(imu: Inertial, at: np.ndarray, up: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ Ma 2018 (Eq. 13-26), with the choices that its text leaves open as settings. Whe
 difference|, its abstract and the unit of its sigma say rate of change, which is the default here. Its
 densities carry an exponent 3/2 for one dimension (1/2; it cancels). Its threshold of 170 is where its own ROC
 finds 0.8 of the quasi-static windows. That is far from what its Gaussian model gives (99 % of them stay below
-21), and in simulated offices 16 finds 0.8: the default, as for all detectors without a better number.
+21), and in simulated offices 16 finds 0.8: the default, as for QSF, QMD and iQSF.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ from pedjax.lanes import (
     symmetric,
     transpose,
 )
-from pedjax.parameters import leaf, parameters
+from pedjax.parameters import leaf, parameters, setting
 
 _KIT = "kit choice"
 _REST = "BROAD 02 and 21: density of the readings at rest"
@@ -66,6 +66,7 @@ class TrackerParameters:
     window: Array = leaf(0.1, unit="s", low=0.01, high=10.0, source=_KIT)
     threshold: Array = leaf(30.0, unit="1", low=1.0, high=1e4, source="kit choice: 1e-6 by chance")
     width: Array = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: a hard test")
+    straight_through: bool = setting(False, source="tuning: hard value, soft slope")
     jump: Array = leaf(50.0, unit="uT/sqrt(s)", low=1e-3, high=1e4, source="kit choice: a field")
     initial_field: Array = leaf(50.0, unit="uT", low=0.1, high=1e3, source="kit choice: a field")
     initial_offset: Array = leaf(0.7, unit="uT", low=0.01, high=1e3, source="kit choice: calibrated before")
@@ -166,7 +167,7 @@ def step(p: TrackerParameters, state: State, rate: Array, reading: Array, dt: Ar
     share = weight * dt / (dt + p.window)
     lean = (1 - share) * state.lean + share * add(one[:, i] * e for i, e in enumerate(z))
     usual = since / (2 * p.window + since)  # variance of the average of white innovations
-    jump = 1 - gate(log_positive(dot(lean, lean) / (usual * p.threshold)), p.width)
+    jump = 1 - gate(log_positive(dot(lean, lean) / (usual * p.threshold)), p.width, p.straight_through)
     jump = jnp.where(passes, jump, state.jump)
     return State(
         field + moved(to_field),

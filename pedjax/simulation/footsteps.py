@@ -306,7 +306,9 @@ def _rounded(points: np.ndarray, radius: float, where: str) -> np.ndarray:
         c, s = np.cos(angles), np.sin(angles)
         x, y = begin - middle
         parts.append(middle + np.column_stack([c * x - s * y, s * x + c * y]))
-    return np.concatenate([*parts, points[-1:]])
+    dense = np.concatenate([*parts, points[-1:]])
+    moves = np.linalg.norm(np.diff(dense, axis=0), axis=1) > 1e-6  # where arcs touch, one point of the two
+    return dense[np.concatenate([[True], moves])]
 
 
 def _walk(feet: _Feet, leg: Leg, where: str) -> None:

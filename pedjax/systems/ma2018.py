@@ -44,9 +44,8 @@ class Tracker(TrackerParameters):
     here, since every parameter set shares the signals.
 
     A rate that is sampled, not averaged over its interval, makes half an interval of it, less the delay of
-    the gyroscope's own filter. Where iron is near, such as in buildings at foot height, the field wanders by
-    still = 20 µT/√s; then the gate is no help (threshold = 300), and offset = 0.3 µT/√s follows a magnet
-    within a minute.
+    the gyroscope's own filter. The defaults are for a field that hardly changes along the path; preset
+    `ma2018_tracked` is for buildings.
     """
 
     lag_s: float = setting(0.0, source="0: none")
@@ -197,8 +196,10 @@ def step(p: Ma2018Parameters, state: State, sample: Sample) -> tuple[State, Outp
     sigma, sigma_field = compass.heading_sigma(q.noise, seen.field, state.reference), q.noise.field
     if isinstance(tracker, hard_iron.State):
         sigma = jnp.sqrt(sigma * sigma + compass.offset_variance(nav.attitude, seen.field, tracker.bb))
-        every = tracker.bb[0, 0] + tracker.bb[1, 1] + tracker.bb[2, 2]  # a bound for any direction
-        sigma_field = jnp.sqrt(sigma_field * sigma_field + every)
+        every = tracker.bb[0, 0] + tracker.bb[1, 1] + tracker.bb[2, 2]
+        sigma_field = jnp.sqrt(
+            sigma_field * sigma_field + 2 * every
+        )  # half a turn on, an offset counts twice
     innovation = rotations.wrap(north - detectors.azimuth(seen.field))
     if not same:
         if q.row == "simple":

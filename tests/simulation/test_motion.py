@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pedjax.errors import InputError
-from pedjax.simulation.footsteps import GAITS, Leg, footsteps
+from pedjax.simulation.footsteps import GAITS, Leg, _path, footsteps
 from pedjax.simulation.motion import GRAVITY, MOUNTINGS, at, motion, standing
 
 MIXED = (
@@ -131,6 +131,20 @@ def test_every_gait_walks(gait):
     assert np.isfinite(made.specific_force).all()
     assert np.linalg.norm(made.angular_rate, axis=1).max() < 25
     assert walk.route[-1, 0] == pytest.approx(12.0, abs=0.02)
+
+
+def test_arcs_that_touch_turn_smoothly():
+    """Corners that need all of each side, as far as rounding lets them."""
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        radius, turns = rng.uniform(0.5, 6.0), np.radians(rng.uniform(20, 120, 12)) * np.resize([1, -1], 12)
+        backs = np.concatenate([[1.0], radius * np.tan(abs(turns) / 2), [1.0]])
+        heading = np.concatenate([[0.3], 0.3 + np.cumsum(turns)])
+        sides = (backs[:-1] + backs[1:])[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+        points = np.concatenate([np.zeros((1, 2)), np.cumsum(sides, axis=0)])
+        path = _path(Leg(points=tuple(map(tuple, points)), radius=radius), np.zeros(2), "arcs")
+        assert abs(np.diff(path[:, 2])).max() < 0.0101 / radius + 0.006 / radius
+        assert path[-1, 2] - path[0, 2] == pytest.approx(turns.sum(), abs=1e-6)
 
 
 @pytest.mark.parametrize(
