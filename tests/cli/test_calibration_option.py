@@ -26,7 +26,7 @@ def test_a_calibrated_walk_is_better_and_its_config_keeps_the_numbers(calibratio
     errors = {}
     for name, args in (("raw", ()), ("calibrated", ("--calibration", calibration))):
         out = tmp_path / name
-        assert call("run", LOOP, "--config", "ma2018", *args, "--out", out, "--no-figures") == 0
+        assert call("run", LOOP, "--config", "ma2018_published", *args, "--out", out, "--no-figures") == 0
         (entry,) = json.loads((out / "metrics.json").read_text())["recordings"]
         errors[name] = entry["landmarks"]["rms_2d_m"]
     assert errors["calibrated"] < 0.3 * errors["raw"]

@@ -47,6 +47,7 @@ def test_equals_the_dense_filter():
 def test_parameters_equal_those_of_the_dense_filter():
     values = parameters.values(HardIronParameters())
     assert values.pop("width") == 0.0
+    assert values.pop("straight_through") is False
     assert values == oracle.Settings()._asdict()
 
 
