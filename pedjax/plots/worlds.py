@@ -29,7 +29,7 @@ def world_figure(made: Simulated, seconds: float = 6.0) -> Figure:
             strength, origin="lower", extent=(low[0], high[0], low[1], high[1]), cmap="viridis",
             vmin=spread[0] - 0.5, vmax=spread[1] + 0.5, interpolation="bilinear",
         )  # fmt: skip
-        upper.colorbar(drawn, ax=site, label="field (µT)", shrink=0.8)
+        upper.colorbar(drawn, cax=site.inset_axes((1.03, 0.1, 0.03, 0.8)), label="field (µT)")
     site.plot(route[:, 0], route[:, 1], color="white", lw=0.8)
     if made.recording.landmarks is not None:
         marks = made.recording.landmarks.position + route[0]
@@ -37,7 +37,7 @@ def world_figure(made: Simulated, seconds: float = 6.0) -> Figure:
     site.set_aspect("equal")
     site.set_xlabel("east (m)")
     site.set_ylabel("north (m)")
-    site.set_title(made.scenario.title or made.scenario.name, fontsize=10)
+    upper.suptitle(made.scenario.title or made.scenario.name, fontsize=10)  # wider than the map may be
     sensor = made.recording.sensors[place]
     streams = [("force (m/s²)", sensor.accelerometer), ("rate (rad/s)", sensor.gyroscope)]
     if sensor.magnetometer is not None:
