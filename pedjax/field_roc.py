@@ -21,7 +21,7 @@ from pedjax.running import run as run_system
 from pedjax.simulation.footsteps import GAITS
 from pedjax.simulation.labels import largest_changes, stance_edges, stance_middles
 from pedjax.simulation.world import SensorTruth
-from pedjax.systems.ma2018 import Ma2018Parameters, north_of
+from pedjax.systems.ma2018 import Ma2018Parameters, looking_of, north_of
 
 STRAIGHT, CURVED = np.radians(10.0), np.radians(30.0)
 """Turn of the foot within a window below which its path counts as straight, above which as curved (kit)."""
@@ -69,12 +69,11 @@ def field_walk(
 ) -> FieldWalk:
     """Run the filter with nothing made of the field, so that no detector has a say in what it is given, and
     put what is true beside each window of looks."""
-    changes: dict[str, str | bool] = {"compass.update": "none", "compass.gyroscope_rows": False}
-    if params.compass.update in ("anchored", "differential"):  # these level by the attitude
-        changes["compass.looking.levelling"] = "attitude"
     if params.compass.looking.per == "sample":
         raise InputError("an ROC of field detectors judges steps: set compass.looking.per = step")
-    alone = parameters.replace(params, changes)
+    changes = {"compass.update": "none", "compass.gyroscope_rows": False}
+    levelling = {"compass.looking.levelling": looking_of(params.compass).levelling}
+    alone = parameters.replace(params, {**changes, **levelling})
     track = run_system(recording, "ma2018", alone, sensor=sensor, clock=clock)
     steps = params.field.window
     at = np.flatnonzero(track.more["look"] > 0)

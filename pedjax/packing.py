@@ -17,7 +17,7 @@ from jax import Array
 from pedjax.errors import InputError
 from pedjax.evaluation.landmarks import Reference
 from pedjax.filtering import Packed, Points
-from pedjax.recording import Clock, Inertial, Recording, inertial, sampling_rate
+from pedjax.recording import Clock, Inertial, Recording, inertial, nearest, sampling_rate
 from pedjax.system import Inputs, Signals, System
 
 TRUTH_HZ = 10.0
@@ -35,12 +35,6 @@ class Walk:
     imu: Inertial
     index: np.ndarray
     position: np.ndarray
-
-
-def nearest(time: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Index of the sample of ascending `time` nearest to each of `at`."""
-    index = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
-    return index - (at - time[index - 1] < time[index] - at)
 
 
 def points_of(

@@ -167,6 +167,12 @@ def _without_duplicates(stream: Stream) -> Stream:
     return Stream(stream.time[keep], stream.values[keep])
 
 
+def nearest(time: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Index of the sample of ascending `time` nearest to each of `at`."""
+    index = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+    return index - (at - time[index - 1] < time[index] - at)
+
+
 _HELD = 0.5  # s from a reading of the magnetometer, up to which it tells of the field
 
 
@@ -208,9 +214,7 @@ def inertial(recording: Recording, sensor: str = "foot", clock: Clock | None = N
     if source.magnetometer is not None:
         stream = _without_duplicates(source.magnetometer)
         magnetic = _interpolate(stream, time)
-        after = np.searchsorted(stream.time, time).clip(1, len(stream.time) - 1)
-        away = np.minimum(abs(time - stream.time[after - 1]), abs(stream.time[after] - time))
-        magnetic[away > _HELD] = np.nan
+        magnetic[abs(time - stream.time[nearest(stream.time, time)]) > _HELD] = np.nan
     steps = np.diff(time)
     dt = np.concatenate([steps[:1], steps])
     return Inertial(time, dt, force, rate, magnetic)

@@ -11,8 +11,8 @@ import numpy as np
 from pedjax import rotations
 from pedjax.errors import InputError, suggest
 from pedjax.evaluation.landmarks import ALIGNMENTS, align, landmark_errors
-from pedjax.packing import nearest, points_of, reference_of
-from pedjax.recording import Recording
+from pedjax.packing import points_of, reference_of
+from pedjax.recording import Recording, nearest
 from pedjax.running import Track
 
 

@@ -39,11 +39,6 @@ def prepared(minute_recording):
     return params, prepare(IEZ, params, imu, float, 1600), imu
 
 
-def same_bits(a, b):
-    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
-        np.testing.assert_array_equal(x, y)
-
-
 def test_cropping_the_end_changes_no_bit(prepared):
     params, inputs, imu = prepared
     state = IEZ.start(params, inputs.opening)
@@ -51,7 +46,7 @@ def test_cropping_the_end_changes_no_bit(prepared):
     for stop in (1000, 777):
         cropped = prepare(IEZ, params, imu.crop(0, stop), float, stop)
         _, part = scan(IEZ, params, cropped.samples, IEZ.start(params, cropped.opening))
-        same_bits(jax.tree.map(lambda x, n=stop: x[:n], whole), part)
+        tools.same_bits(jax.tree.map(lambda x, n=stop: x[:n], whole), part)
 
 
 def test_a_cropped_recording_runs_to_the_same_bits(minute_recording):
@@ -66,16 +61,8 @@ def test_a_cropped_recording_runs_to_the_same_bits(minute_recording):
 
 def test_two_chunks_equal_one_to_the_bit(prepared):
     params, inputs, _ = prepared
-    state = IEZ.start(params, inputs.opening)
-    end, whole = scan(IEZ, params, inputs.samples, state)
     for cut in (800, 431):
-        first, second = (
-            jax.tree.map(lambda x, s=s: x[s], inputs.samples) for s in (slice(cut), slice(cut, None))
-        )
-        middle, a = scan(IEZ, params, first, state)
-        last, b = scan(IEZ, params, second, middle)
-        same_bits(end, last)
-        same_bits(whole, jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b))
+        tools.assert_chunks_equal_the_whole(scan, IEZ, params, inputs, cut)
 
 
 def test_what_is_kept_is_the_callers_choice(prepared):

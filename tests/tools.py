@@ -2,12 +2,23 @@
 
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from pedjax import parameters
 from pedjax.recording import Landmarks, Recording, Sensor, Stream, Truth
 from pedjax.systems import system
 from tests.reference import filter as oracle
+
+ORACLE_NAMES = {
+    "position": "p",
+    "velocity": "v",
+    "attitude": "C",
+    "gyroscope_bias": "b_g",
+    "accelerometer_bias": "b_a",
+}
+"""The parts of an estimate, and what the dense filter calls them."""
 
 LEAVES = tuple(parameters.specs(system("iez").defaults()))
 
@@ -91,3 +102,20 @@ def oracle_settings(params, force, heading):
         initial_C=oracle.levelled_attitude(force, heading),
         attitude_method=params.updates.attitude_update,
     )
+
+
+def same_bits(a, b):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def assert_chunks_equal_the_whole(scan, system, params, inputs, cut):
+    """A scan up to sample `cut`, and another from there on, give what one over all gives, to the bit."""
+    state = system.start(params, inputs.opening)
+    end, whole = scan(system, params, inputs.samples, state)
+    parts = slice(cut), slice(cut, None)
+    first, second = (jax.tree.map(lambda x, s=s: x[s], inputs.samples) for s in parts)
+    middle, a = scan(system, params, first, state)
+    last, b = scan(system, params, second, middle)
+    same_bits(end, last)
+    same_bits(whole, jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b))

@@ -24,6 +24,9 @@ from pedjax.output import write_figure
 from pedjax.runtime import double_precision
 
 MGS = 0.1  # µT
+OFFSET, ETA, TAU = np.array([137.95, 75.26]), 0.973, 0.896  # Table 1: mGs, rad, ratio of the axes
+AXIS = np.array([np.cos(ETA), np.sin(ETA)])
+DISTORTION = np.eye(2) + (1 / TAU - 1) * np.outer(AXIS, AXIS)
 
 
 def loops(seeds: range) -> list[fitting.Loop]:
@@ -46,9 +49,9 @@ def table_one_planar(walked: list[fitting.Loop]) -> list[Row]:
         with double_precision():
             for loop in walked:
                 fits.append(planar.METHODS[method](jnp.asarray(loop.points[:, :2])))
-        away = np.array([np.hypot(*(np.asarray(f.offset) / MGS - [137.95, 75.26])) for f in fits])
-        turned = np.degrees([abs(_half(float(f.eta) - 0.973)) for f in fits])
-        ratio = np.array([abs(float(f.tau) - 0.896) for f in fits])
+        away = np.array([np.hypot(*(np.asarray(f.offset) / MGS - OFFSET)) for f in fits])
+        turned = np.degrees([abs(_half(float(f.eta) - ETA)) for f in fits])
+        ratio = np.array([abs(float(f.tau) - TAU) for f in fits])
         within = (away < 4) & (turned < 3) & (ratio < 0.03)
         told = f"off by {np.median(away):.1f} mGs, {np.median(turned):.1f} deg, {np.median(ratio):.3f}"
         met = bool(np.median(away) < 4 and np.median(turned) < 3 and np.median(ratio) < 0.03)
@@ -119,10 +122,8 @@ def figure_seven(walked: list[fitting.Loop], axes: Axes) -> list[Row]:
     with double_precision():
         for loop in walked:
             flat = loop.points[:, :2]
-            ideal = (flat - [13.795, 7.526]) @ np.linalg.inv(
-                _TABLE
-            ).T  # what an exact free calibration leaves
-            disturbed = ideal @ shoe.T + [1.5, -1.0]
+            exact = (flat - MGS * OFFSET) @ np.linalg.inv(DISTORTION).T  # by an exact free calibration
+            disturbed = exact @ shoe.T + [1.5, -1.0]
             made = planar.lsq(jnp.asarray(disturbed))
             for name, m in (
                 ("2-D", (disturbed - np.asarray(made.offset)) @ np.asarray(made.matrix).T),
@@ -150,11 +151,6 @@ def figure_seven(walked: list[fitting.Loop], axes: Axes) -> list[Row]:
             bool(ours < 5 and free > 2 * ours),
         )
     ]
-
-
-_TABLE = np.eye(2) + (1 / 0.896 - 1) * np.outer(
-    [np.cos(0.973), np.sin(0.973)], [np.cos(0.973), np.sin(0.973)]
-)
 
 
 def run(seeds: range, out: Path) -> list[Row]:

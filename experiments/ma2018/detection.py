@@ -66,20 +66,20 @@ def area_rows(
 ) -> list[dict[str, Any]]:
     rows = []
     for part in [p for p in PARTS if p in curves]:
-        label = np.concatenate([y[k] for y, k in zip(given.label, given.parts[part], strict=True)])
+        positive, count = given.counts(part)
         for name, found in curves[part].items():
             less = difference(found, curves[part]["ma"])
             row = {"scenario": scenario, "field_uT": definition[0], "heading_deg": definition[1]}
-            row |= {"part": part, "windows": len(label), "quasi_static": int(label.sum()), "detector": name}
+            row |= {"part": part, "windows": count, "quasi_static": positive, "detector": name}
             areas = (found.auc, found.partial, *less)
             for title, area in zip(("auc", "partial", "auc_less_ma", "partial_less_ma"), areas, strict=True):
-                row |= {title: area.value, f"{title}_low": area.low, f"{title}_high": area.high}
+                row |= area.columns(title)
             rows.append(row)
             print(
                 f"  {part:8} {name:6} AUC {found.auc}  up to 10 % {found.partial}"
                 + ("" if name == "ma" else f"  less ma's {less[0]}, {less[1]}")
             )
-        print(f"  {part:8} {int(label.sum())} of {len(label)} windows are quasi-static")
+        print(f"  {part:8} {positive} of {count} windows are quasi-static")
     return rows
 
 

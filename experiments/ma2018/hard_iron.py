@@ -18,7 +18,7 @@ import numpy as np
 from tqdm import tqdm
 
 import pedjax
-from pedjax import config
+from experiments.ma2018 import presets
 from pedjax.output import folder, write_table
 from pedjax.recording import Stream
 
@@ -35,12 +35,6 @@ def disturbed(recording: pedjax.Recording, step: np.ndarray) -> pedjax.Recording
     late = (time > 0.5 * (time[0] + time[-1]))[:, None]
     sensor = replace(foot, magnetometer=Stream(time, field + late * step))
     return replace(recording, sensors={"foot": sensor})
-
-
-def mean_error(recording: pedjax.Recording, track: pedjax.Track) -> float:
-    score = pedjax.evaluate(track, recording, alignment="yaw_translation")
-    assert score is not None
-    return score.mean_2d_m
 
 
 def found(track: pedjax.Track, step: np.ndarray) -> tuple[float, float]:
@@ -75,8 +69,8 @@ def main() -> None:
             for name, recording in (("none", walk), ("magnet", disturbed(walk, step))):
                 row = {"place": place, "seed": seed, "put on": name}
                 for preset in PRESETS:
-                    track = pedjax.run(recording, *config.resolve(config.load(preset)))
-                    row[f"{preset}_m"] = mean_error(recording, track)
+                    track = presets.run(recording, preset)
+                    row[f"{preset}_m"] = presets.score(track, recording).mean_2d_m
                 seconds, row["off_ut"] = found(track, step if name == "magnet" else 0 * step)
                 row["found_s"] = seconds if name == "magnet" else np.nan
                 rows.append(row)

@@ -20,15 +20,11 @@ from pathlib import Path
 import numpy as np
 
 import pedjax
-from pedjax import config
+from experiments.ma2018 import presets
 from pedjax.output import folder, write_table
+from pedjax.simulation.labels import stance_edges
 
 PRESETS = ("ma2018_zupt", "ma2018", "ma2018_published", "ma2018_indoor")
-
-
-def run(recording: pedjax.Recording, preset: str) -> pedjax.Track:
-    system, params = config.resolve(config.load(preset))
-    return pedjax.run(recording, system, params)
 
 
 def _angle(x: float) -> float:
@@ -55,10 +51,8 @@ def loop(recording: pedjax.Recording, track: pedjax.Track) -> dict[str, float]:
 
 def _turn_per_centimetre(track: pedjax.Track, azimuth: np.ndarray) -> float:
     """By how much the field turns from where the foot stood to 2 cm on, when it sets out: median, deg/cm."""
-    still = (track.stance > 0.5).astype(int)
-    begins, ends = (np.flatnonzero(np.diff(still, prepend=0, append=0) == k) for k in (1, -1))
     found = []
-    for first, end in zip(begins, ends, strict=True):
+    for first, end in zip(*stance_edges(track.stance > 0.5), strict=True):
         away = np.linalg.norm(track.position[end:] - track.position[end - 1], axis=1)
         if end - first > 30 and (away > 0.02).any():
             k = int(np.argmax(away > 0.02))
@@ -68,9 +62,7 @@ def _turn_per_centimetre(track: pedjax.Track, azimuth: np.ndarray) -> float:
 
 def walk(recording: pedjax.Recording, track: pedjax.Track) -> dict[str, float]:
     """RMS error at the landmarks in m."""
-    score = pedjax.evaluate(track, recording, alignment="yaw_translation")
-    assert score is not None
-    return {"rms_m": score.rms_2d_m}
+    return {"rms_m": presets.score(track, recording).rms_2d_m}
 
 
 def compared(
@@ -84,7 +76,7 @@ def compared(
             print(f"{path.name}: no magnetometer")
             continue
         for preset in PRESETS:
-            track = run(recording, preset)
+            track = presets.run(recording, preset)
             looks = track.more["look"] > 0
             found = told(recording, track)
             used = float((track.more["field_weight"][looks] > 0.5).mean()) if looks.any() else 0.0

@@ -16,6 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 import pedjax
+from experiments.ma2018.presets import params_of
 from pedjax import parameters
 from pedjax.output import folder, write_json, write_table, write_toml
 from pedjax.systems.ma2018 import MA2018
@@ -44,8 +45,8 @@ def main() -> None:
     args = parser.parse_args()
     pedjax.configure()
     out = folder(args.out)
-    published = {"field.ma.threshold": 170.0} if args.detector == "ma" else {}
-    params = parameters.replace(MA2018.defaults(), {"field.detector": args.detector, **published})
+    detector = {"field.detector": args.detector}
+    params = params_of("ma2018_published", detector)
     field = tuple(n for n in MA2018.tunable(params) if n.startswith(("field.", "compass.")))
     names = (*field, "compass.noise.oddity", "updates.zero_velocity", "initial.gyroscope_bias")
     if args.detector == "ma":
@@ -61,12 +62,8 @@ def main() -> None:
 
     tuned = pedjax.tune(tuned_on, settings, MA2018, params, held_back=held_back, progress=progress)
     others = {}
-    for name, changes in {
-        "zupt": {"compass.update": "none", "compass.start": "given"},
-        "default": {"field.detector": args.detector},
-    }.items():
+    for name, other in {"zupt": params_of("ma2018_zupt"), "default": params_of("ma2018", detector)}.items():
         gravity = {"gravity": np.array([float(params.gravity)])}
-        other = parameters.replace(MA2018.defaults(), changes)
         found = pedjax.sweep([*tuned_on, *held_back], gravity, MA2018, other, loss="mean_2d")
         others[name] = found.loss[0]
     rows = []

@@ -18,22 +18,22 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import pedjax
+from experiments.ma2018 import presets
 from experiments.ma2018.table import Row, row
-from pedjax import parameters
 from pedjax.output import write_figure
-from pedjax.packing import nearest
+from pedjax.recording import nearest
 from pedjax.scoring import aligned
-from pedjax.systems.ma2018 import MA2018
 
-FILTERS: dict[str, dict[str, Any]] = {
-    "ZUPT": {"compass.update": "none", "compass.start": "given"},
-    "QSF": {"field.detector": "qsf"},
-    "iQSF": {"field.detector": "iqsf"},
-    "Ma": {},
-    "iQSF at 170": {"field.detector": "iqsf", "field.iqsf.threshold": 170.0},
-    "Ma at 170": {"field.ma.threshold": 170.0},
-    "vector": {"field.detector": "vector", "compass.looking.levelling": "attitude"},
+FILTERS: dict[str, tuple[str, dict[str, Any]]] = {
+    "ZUPT": ("ma2018_zupt", {}),
+    "QSF": ("ma2018_qsf", {}),
+    "iQSF": ("ma2018_iqsf", {}),
+    "Ma": ("ma2018", {}),
+    "iQSF at 170": ("ma2018_iqsf", {"field.iqsf.threshold": 170.0}),
+    "Ma at 170": ("ma2018_published", {}),
+    "vector": ("ma2018", {"field.detector": "vector", "compass.looking.levelling": "attitude"}),
 }
+"""Presets, and what else is changed."""
 
 
 def walks(
@@ -49,10 +49,9 @@ def walks(
         first = first or made
         attitude = made.truth["foot"].motion.attitude[[0, -1]]
         yaw = np.arctan2(attitude[:, 1, 0], attitude[:, 0, 0])
-        for name, changes in FILTERS.items():
-            track = pedjax.run(made.recording, MA2018, parameters.replace(MA2018.defaults(), changes))
-            score = pedjax.evaluate(track, made.recording, alignment="yaw_translation")
-            assert score is not None
+        for name, (preset, changes) in FILTERS.items():
+            track = presets.run(made.recording, preset, changes)
+            score = presets.score(track, made.recording)
             drift = np.degrees(np.diff(track.euler[[0, -1], 2] - yaw)[0])
             found[name].append(
                 [score.mean_2d_m, score.max_2d_m, score.final_2d_m, abs((drift + 180) % 360 - 180)]

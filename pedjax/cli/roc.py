@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pedjax import __version__
+from pedjax import __version__, parameters
 from pedjax.cli.common import configured, say, write_metrics, write_parameters
 from pedjax.config import Config, load, resolve
 from pedjax.detectors.field import FIELD_DETECTORS
@@ -59,8 +59,9 @@ def add_parser(commands: Any, both: list[argparse.ArgumentParser]) -> None:
 
 class _Judged(NamedTuple):
     """What detectors say and what is true: `entries` tell of the recordings, `options` how they were
-    labelled; `at_point` gives a detector's parameters at a point of its curve."""
+    labelled; `at_point` gives what a detector changes of `params` at a point of its curve."""
 
+    params: Any
     recordings: Sequence[Recording]
     given: Labelled
     entries: list[dict[str, Any]]
@@ -154,6 +155,7 @@ def _stance(args: argparse.Namespace, config: Config, names: list[str]) -> _Judg
         for path, r, x in zip(config.recordings, recordings, labels, strict=True)
     ]
     return _Judged(
+        params,
         recordings,
         stance_roc.labelled(params, names, samples, labels),
         entries,
@@ -185,6 +187,7 @@ def _field(args: argparse.Namespace, config: Config, names: list[str]) -> _Judge
         for path, r, y in zip(config.recordings, recordings, given.label, strict=True)
     ]
     return _Judged(
+        params,
         recordings,
         given,
         entries,
@@ -217,13 +220,10 @@ def _point(found: Banded, reached: Reached, wanted: Wanted, upto: float) -> dict
 
 
 def _write_point(path: Any, config: Config, judged: _Judged, point: dict[str, Any]) -> None:
-    from pedjax import parameters
-
-    _, params = resolve(config)
     write_parameters(
         path,
         config,
-        parameters.replace(params, point["parameters"]),
+        parameters.replace(judged.params, point["parameters"]),
         [fingerprint(r) for r in judged.recordings],
         f"chosen by pedjax {__version__} from the ROC of {len(judged.recordings)} recordings: detection "
         f"{point['p_detection']:.3f}, false alarm {point['p_false_alarm']:.3f}",
@@ -242,12 +242,10 @@ def _curve_table(curves: dict[str, Banded]) -> dict[str, list[Any]]:
 def _area_table(curves: dict[str, dict[str, Banded]], given: Labelled) -> dict[str, list[Any]]:
     rows: list[dict[str, Any]] = []
     for part, each in curves.items():
-        yes, count = _count(given, part)
+        yes, count = given.counts(part)
         for name, found in each.items():
             row = {"part": part, "detector": name, "windows": count, "positive": yes}
-            for title, area in (("auc", found.auc), ("partial_auc", found.partial)):
-                row |= {title: area.value, f"{title}_low": area.low, f"{title}_high": area.high}
-            rows.append(row)
+            rows.append(row | found.auc.columns("auc") | found.partial.columns("partial_auc"))
     return {key: [row[key] for row in rows] for key in rows[0]}
 
 
@@ -260,11 +258,5 @@ def _line(name: str, found: Banded, point: dict[str, Any], upto: float) -> str:
 
 
 def _part_line(part: str, found: Banded, given: Labelled) -> str:
-    yes, all_of_it = _count(given, part)
+    yes, all_of_it = given.counts(part)
     return f"  {part:8} AUC {found.auc}, partial {found.partial}; {yes} of {all_of_it} windows"
-
-
-def _count(given: Labelled, part: str) -> tuple[int, int]:
-    """How many windows of a part are what the detectors look for, and how many there are."""
-    label = np.concatenate([y[keep] for y, keep in zip(given.label, given.parts[part], strict=True)])
-    return int(label.sum()), len(label)

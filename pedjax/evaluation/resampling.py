@@ -29,6 +29,10 @@ class Interval(NamedTuple):
         known = np.isfinite(self.low)
         return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}]" if known else f"{self.value:.3f} [?]"
 
+    def columns(self, title: str) -> dict[str, float]:
+        """As columns of a table."""
+        return {title: self.value, f"{title}_low": self.low, f"{title}_high": self.high}
+
 
 class Band(NamedTuple):
     """Some points of a curve, `(M,)` each, from threshold to threshold, and between which `low` and `high`
@@ -61,6 +65,11 @@ class Labelled(NamedTuple):
     statistic: Mapping[str, Sequence[np.ndarray]]
     label: Sequence[np.ndarray]
     parts: Mapping[str, Sequence[np.ndarray]]
+
+    def counts(self, part: str) -> tuple[int, int]:
+        """How many windows of a part are what the detectors look for, and how many there are."""
+        label = np.concatenate([y[keep] for y, keep in zip(self.label, self.parts[part], strict=True)])
+        return int(label.sum()), len(label)
 
 
 def compare(

@@ -141,6 +141,12 @@ def north_of(p: Compass) -> Array:
     return _QUARTER_TURN - p.declination
 
 
+def looking_of(p: Compass) -> Looking:
+    """When it looks, and what levels: the attitude where the field tells of the tilt, too."""
+    tilted = p.update in ("anchored", "differential")
+    return replace(p.looking, levelling="attitude") if tilted else p.looking
+
+
 def start(p: Ma2018Parameters, opening: Opening) -> State:
     """As IEZ; with `compass.start` = "field" the first yaw is the compass's."""
     inertial = iez.start(p, opening.force)
@@ -181,11 +187,7 @@ def step(p: Ma2018Parameters, state: State, sample: Sample) -> tuple[State, Outp
         mag = mag - tracker.offset
 
     specific = force - nav.accelerometer_bias
-    same = q.update in (
-        "anchored",
-        "differential",
-    )  # what a field tells of the tilt: levelled by the attitude
-    looking = replace(q.looking, levelling="attitude") if same else q.looking
+    looking = looking_of(q)
     looks, now = compass.look(looking, q.level, state.looks, nav, specific, mag, dt, output.stance)
     seen = looks.window[-1]
     ratio = detectors.log_ratio(p.field, looks.window, north)
@@ -197,11 +199,10 @@ def step(p: Ma2018Parameters, state: State, sample: Sample) -> tuple[State, Outp
     if isinstance(tracker, hard_iron.State):
         sigma = jnp.sqrt(sigma * sigma + compass.offset_variance(nav.attitude, seen.field, tracker.bb))
         every = tracker.bb[0, 0] + tracker.bb[1, 1] + tracker.bb[2, 2]
-        sigma_field = jnp.sqrt(
-            sigma_field * sigma_field + 2 * every
-        )  # half a turn on, an offset counts twice
+        twice = 2 * every  # half a turn on, an offset counts twice
+        sigma_field = jnp.sqrt(sigma_field * sigma_field + twice)
     innovation = rotations.wrap(north - detectors.azimuth(seen.field))
-    if not same:
+    if q.update in ("heading", "none"):
         if q.row == "simple":
             row = (constant(np.array([0.0, 0.0, 1.0]), innovation) + 0 * seen.field)[None]
         elif q.looking.levelling == "force":

@@ -15,13 +15,6 @@ from tests.reference import detectors as naive
 from tests.reference import filter as oracle
 
 RATE = 100.0
-NAMES = {
-    "position": "p",
-    "velocity": "v",
-    "attitude": "C",
-    "gyroscope_bias": "b_g",
-    "accelerometer_bias": "b_a",
-}
 
 
 def settings_of(params, walk, **changes):
@@ -41,7 +34,7 @@ def compare(track, walk, params, tolerance=1e-9, **changes):
         zaru,
         settings_of(params, walk, **changes),
     )
-    for ours, theirs in NAMES.items():
+    for ours, theirs in tools.ORACLE_NAMES.items():
         np.testing.assert_allclose(
             getattr(track, ours), expected[theirs], atol=tolerance, rtol=0, err_msg=ours
         )

@@ -26,13 +26,6 @@ from tests.reference import field as naive
 from tests.reference import filter as dense
 
 MA, IEZ = SYSTEMS["ma2018"], SYSTEMS["iez"]
-NAMES = {
-    "position": "p",
-    "velocity": "v",
-    "attitude": "C",
-    "gyroscope_bias": "b_g",
-    "accelerometer_bias": "b_a",
-}
 BETWEEN = {"compass.looking.dwell_s": 0.12, "compass.looking.gap_s": 0.15}
 """Times between two samples at 100 Hz, so that no rounding decides when a foot looks."""
 UNSURE = {"initial.attitude": 0.02, "initial.gyroscope_bias": 0.01, "process.gyroscope": 2e-3, **BETWEEN}
@@ -94,7 +87,7 @@ def test_without_its_update_it_is_iez(both, where):
     recording = both[where].recording
     track = pedjax.run(recording, "ma2018", ma(compass__update="none", compass__start="given"))
     iez = pedjax.run(recording, "iez")
-    for name in (*NAMES, "stance", "log_ratio", "sigma"):
+    for name in (*tools.ORACLE_NAMES, "stance", "log_ratio", "sigma"):
         np.testing.assert_allclose(getattr(track, name), getattr(iez, name), atol=1e-12, rtol=0, err_msg=name)
     assert (track.more["field_weight"] == 0).all()
     assert track.more["look"].sum() > 20
@@ -153,7 +146,7 @@ def compare(recording, p, tolerance=1e-8):
     np.testing.assert_array_equal(track.more["look"], expected["look"])
     looked = expected["look"] > 0
     np.testing.assert_allclose(track.more["field_weight"][looked], expected["weight"][looked], atol=tolerance)
-    for ours, theirs in NAMES.items():
+    for ours, theirs in tools.ORACLE_NAMES.items():
         np.testing.assert_allclose(
             getattr(track, ours), expected[theirs], atol=tolerance, rtol=0, err_msg=ours
         )
@@ -210,31 +203,18 @@ def scan(system, params, samples, state):
     return filtering.scan(system, params, samples, state)
 
 
-def same_bits(a, b):
-    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
-        np.testing.assert_array_equal(x, y)
-
-
 def test_cropping_the_end_changes_no_bit(prepared):
     p, imu, inputs = prepared
     _, whole = scan(MA, p, inputs.samples, MA.start(p, inputs.opening))
     assert whole.more["field_weight"].max() > 0.5
     cropped = prepare(MA, p, imu.crop(0, HALF), float, HALF)
     _, part = scan(MA, p, cropped.samples, MA.start(p, cropped.opening))
-    same_bits(jax.tree.map(lambda x: x[:HALF], whole), part)
+    tools.same_bits(jax.tree.map(lambda x: x[:HALF], whole), part)
 
 
 def test_two_chunks_equal_one_to_the_bit(prepared):
     p, _, inputs = prepared
-    state = MA.start(p, inputs.opening)
-    end, whole = scan(MA, p, inputs.samples, state)
-    first, second = (
-        jax.tree.map(lambda x, s=s: x[s], inputs.samples) for s in (slice(HALF), slice(HALF, None))
-    )
-    middle, a = scan(MA, p, first, state)
-    last, b = scan(MA, p, second, middle)
-    same_bits(end, last)
-    same_bits(whole, jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b))
+    tools.assert_chunks_equal_the_whole(scan, MA, p, inputs, HALF)
 
 
 LANES = {
