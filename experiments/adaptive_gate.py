@@ -32,7 +32,7 @@ NOISES = IEZ.tunable(IEZ.defaults())
 NAMES = (*NOISES, *ADAPTIVE)
 START = {
     "gate.kind": "adaptive",
-    "updates.force_attitude": "new",  # the better of the two on the tuning part (0.0617 m against 0.0623)
+    "strapdown.force_attitude": "new",  # the better of the two on the tuning part (0.0617 m against 0.0623)
     THRESHOLD: 5e7,
     "gate.follow": 0.7,
     "gate.growth": 0.3,

@@ -36,7 +36,7 @@ NINE_STATES = {
     "initial.gyroscope_bias": 1e-8,
     "process.accelerometer_bias": 1e-9,
     "process.gyroscope_bias": 1e-10,
-    "updates.force_attitude": "new",
+    "strapdown.force_attitude": "new",
 }
 
 
@@ -87,7 +87,7 @@ def main() -> None:
         block = parameters.replace(
             defaults, {**NINE_STATES, "stance.shoe.threshold": threshold, "stance.rule": "block"}
         )
-        own = parameters.replace(block, {"stance.rule": "causal", "updates.force_attitude": "mean"})
+        own = parameters.replace(block, {"stance.rule": "causal", "strapdown.force_attitude": "mean"})
         track = pedjax.run(recording, "iez", block, clock="uniform")
         row = {
             "trial": recording.name,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -9,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from pedjax import parameters
-from pedjax.ensemble import LOSSES
 from pedjax.errors import InputError, suggest
+from pedjax.evaluation.scores import score_kind
 from pedjax.recording import Clock
 from pedjax.sources import is_made
 from pedjax.sweeping.designs import (
@@ -24,8 +26,10 @@ from pedjax.sweeping.designs import (
     with_settings,
 )
 from pedjax.system import System
+from pedjax.systems import assembled
 from pedjax.systems import system as find_system
 from pedjax.tuning import TuneSettings
+from pedjax.walks import sensor_names
 
 
 @dataclass(frozen=True)
@@ -52,13 +56,19 @@ class SweepSettings:
 
 @dataclass(frozen=True)
 class Config:
-    """Everything a command needs. `held_back` lists recordings; or `split` is the part to tune on."""
+    """Everything a command needs. `held_back` lists recordings; or `split` is the part to tune on.
 
-    system: str = "iez"
+    `system` is the name of one, or a table with `name`, `filter` and `aids`, from which it is made;
+    `sensor` the name of the one that plays its first role, or a table of names by role; `map` a file of
+    what the system is to know of the place; `plugins` Python files that register systems, detectors or
+    losses of your own.
+    """
+
+    system: str | Mapping[str, Any] = "iez"
     recordings: tuple[str, ...] = ()
     held_back: tuple[str, ...] = ()
     split: float | None = None
-    sensor: str = "foot"
+    sensor: str | Mapping[str, str] | None = None
     clock: Clock | None = None
     alignment: str = "auto"
     seed: int = 0
@@ -68,15 +78,17 @@ class Config:
     tune: Mapping[str, Any] = field(default_factory=dict)
     sweep: Mapping[str, Any] = field(default_factory=dict)
     tuned_on: tuple[str, ...] = ()
+    map: str = ""
+    plugins: tuple[str, ...] = ()
     origin: str = "defaults"
 
 
 _KINDS: dict[str, tuple[type, ...]] = {
-    "system": (str,),
+    "system": (str, dict),
     "recordings": (list,),
     "held_back": (list,),
     "split": (float, int),
-    "sensor": (str,),
+    "sensor": (str, dict),
     "clock": (str,),
     "alignment": (str,),
     "seed": (int,),
@@ -86,6 +98,8 @@ _KINDS: dict[str, tuple[type, ...]] = {
     "tune": (dict,),
     "sweep": (dict,),
     "tuned_on": (list,),
+    "map": (str,),
+    "plugins": (list,),
 }
 
 
@@ -99,11 +113,36 @@ def load(*paths: str | Path) -> Config:
             if key in raw:
                 flatten = parameters.flatten if key == "parameters" else dict
                 raw[key] = {**merged.get(key, {}), **flatten(raw[key])}
-        raw["tuned_on"] = (*merged.get("tuned_on", ()), *raw.get("tuned_on", ()))
+        for key in ("tuned_on", "plugins"):
+            raw[key] = tuple(dict.fromkeys([*merged.get(key, ()), *raw.get(key, ())]))
         merged |= raw
     config = Config(**merged, origin=", ".join(map(str, paths)) or "defaults")
+    for plugin in config.plugins:
+        load_plugin(plugin)
     check(config)
     return config
+
+
+_LOADED: set[Path] = set()
+
+
+def load_plugin(path: str | Path) -> None:
+    """Run a Python file that registers something of your own; once, however often it is named."""
+    place = Path(path).resolve()
+    if place in _LOADED:
+        return
+    spec = importlib.util.spec_from_file_location(f"pedjax_plugin_{place.stem}", place)
+    if spec is None or spec.loader is None or not place.exists():
+        raise InputError(f"{path}: there is no such Python file to load")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        sys.modules[spec.name] = module
+        spec.loader.exec_module(module)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: cannot be loaded: {type(error).__name__}: {error}") from error
+    _LOADED.add(place)
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -124,9 +163,11 @@ def _read(path: Path) -> dict[str, Any]:
         if not isinstance(value, _KINDS[key]) or (isinstance(value, bool) and key != "figures"):
             kinds = " or ".join(kind.__name__ for kind in _KINDS[key])
             raise InputError(f"{path}: {key} = {value!r} must be a {kinds}")
-    for key in ("recordings", "held_back"):
+    for key in ("recordings", "held_back", "plugins"):
         if key in raw:
             raw[key] = tuple(_beside(path.parent, str(name)) for name in raw[key])
+    if raw.get("map"):
+        raw["map"] = _beside(path.parent, raw["map"])
     if raw.get("sweep", {}).get("file"):
         raw["sweep"] = {**raw["sweep"], "file": _beside(path.parent, str(raw["sweep"]["file"]))}
     return raw
@@ -156,9 +197,34 @@ def check(config: Config) -> None:
 
 def resolve(config: Config) -> tuple[System, Any]:
     """The system and its parameter tree with the config's values in it."""
-    chosen = find_system(config.system)
+    chosen = _system(config)
+    if config.sensor is not None:
+        sensor_names(chosen.needs, config.sensor)
+    if config.map and chosen.read_site is None:
+        raise InputError(f"--map {config.map}: the system '{chosen.name}' uses no map; leave it out")
     flat = parameters.flatten(config.parameters)
     return chosen, parameters.replace(chosen.defaults(), flat, f"{config.origin}: parameters")
+
+
+def _system(config: Config) -> System:
+    if isinstance(config.system, str):
+        return find_system(config.system)
+    table = dict(config.system)
+    for key in table:
+        if key not in ("name", "filter", "aids"):
+            known = suggest(key, ("name", "filter", "aids"))
+            raise InputError(f"{config.origin}: key 'system.{key}' is unknown{known}")
+    if not isinstance(table.get("name"), str) or not isinstance(table.get("aids"), list):
+        raise InputError(f"{config.origin}: system needs a name and a list of aids, or is itself a name")
+    return assembled(table["name"], table.get("filter", "inertial"), table["aids"])
+
+
+def site_of(config: Config) -> Any:
+    """What the system is to know of the place, read from the config's map; None without one."""
+    chosen = _system(config)
+    if not config.map or chosen.read_site is None:
+        return None
+    return chosen.read_site(Path(config.map))
 
 
 def override(config: Config, assignments: Sequence[str]) -> Config:
@@ -217,9 +283,9 @@ def _settings(cls: type, given: Mapping[str, Any], origin: str, section: str) ->
 
 def tune_settings(config: Config) -> TuneSettings:
     """The config's tuning settings, with names by default those of the system's gate and noises."""
-    chosen, params = resolve(config)
+    _, params = resolve(config)
     given = dict(config.tune)
-    given.setdefault("names", list(chosen.tunable(params)))
+    given.setdefault("names", list(parameters.tunable(params)))
     given.setdefault("seed", config.seed)
     if config.alignment != "auto":
         given.setdefault("alignment", config.alignment)
@@ -243,9 +309,10 @@ def sweep_settings(config: Config) -> SweepSettings:
     if settings.design not in DESIGNS:
         known = suggest(settings.design, DESIGNS)
         raise InputError(f"{config.origin}: sweep.design = '{settings.design}' is unknown{known}")
-    if settings.loss not in LOSSES:
-        known = suggest(settings.loss, LOSSES)
-        raise InputError(f"{config.origin}: sweep.loss = '{settings.loss}' is unknown{known}")
+    try:
+        score_kind(settings.loss)
+    except InputError as error:
+        raise InputError(f"{config.origin}: sweep.{error}") from None
     if settings.file and (settings.ranges or settings.values or settings.refine):
         raise InputError(
             f"{config.origin}: sweep.file lists whole parameter sets; leave ranges, values and refine out"
@@ -257,7 +324,7 @@ def sweep_axes(config: Config) -> tuple[SweepSettings, tuple[Axis, ...]]:
     """What is swept, checked. Without ranges, values or a file, the parameters that tuning would vary, from a
     tenth to ten times their values (a quarter of the bounds each way where linear)."""
     settings = sweep_settings(config)
-    chosen, params = resolve(config)
+    _, params = resolve(config)
     origin = f"{config.origin}: sweep"
     for path, options in settings.settings.items():
         distinct = {repr(option) for option in options} if isinstance(options, list | tuple) else set()
@@ -270,7 +337,7 @@ def sweep_axes(config: Config) -> tuple[SweepSettings, tuple[Axis, ...]]:
             parameters.replace(params, {path: option}, f"{origin}.settings")
     ranges = dict(settings.ranges)
     if not ranges and not settings.values:
-        ranges = {path: _around(params, path) for path in chosen.tunable(params)}
+        ranges = {path: _around(params, path) for path in parameters.tunable(params)}
     return settings, axes_of(params, ranges, settings.values, origin)
 
 
@@ -302,10 +369,14 @@ def resolved(config: Config, params: Any, **extra: Any) -> dict[str, Any]:
         if names:  # files by their whole path: the config may be loaded from anywhere
             here = key == "tuned_on"
             whole[key] = [n if here or is_made(n) else str(Path(n).resolve()) for n in names]
-    for key in ("split", "clock"):
+    for key in ("split", "clock", "sensor"):
         if getattr(config, key) is not None:
             whole[key] = getattr(config, key)
-    whole |= {"sensor": config.sensor, "alignment": config.alignment, "seed": config.seed}
+    if config.map:
+        whole["map"] = str(Path(config.map).resolve())
+    if config.plugins:
+        whole["plugins"] = [str(Path(name).resolve()) for name in config.plugins]
+    whole |= {"alignment": config.alignment, "seed": config.seed}
     whole |= {k: v for k, v in extra.items() if v}
     whole["parameters"] = parameters.to_nested(params)
     return whole

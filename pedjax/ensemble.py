@@ -13,15 +13,12 @@ from jax import Array
 
 from pedjax import parameters
 from pedjax.errors import InputError
-from pedjax.evaluation.landmarks import Errors, landmark_errors
+from pedjax.evaluation.scores import score_kind, told_with
 from pedjax.filtering import scan_points
-from pedjax.packing import Batch, Walk, walk
+from pedjax.packing import Batch, Batches
 from pedjax.recording import Clock, Recording
-from pedjax.running import check_walk
 from pedjax.system import System
-
-LOSSES = {"armse": "pyshoe_armse", "rms_2d": "rms_2d", "mean_2d": "mean_2d", "rms_3d": "rms_3d"}
-"""What can be minimised, and its name among the errors."""
+from pedjax.walks import Sensors, Walk, check_walk, walk
 
 
 class Problem(NamedTuple):
@@ -33,50 +30,65 @@ class Problem(NamedTuple):
 
 
 class Scores(NamedTuple):
-    """Of each parameter set on each recording, `(S, R)`: `errors` in m, whether the run stayed `healthy`,
-    and `stance`, the mean weight of its zero-velocity updates."""
+    """Of each parameter set on each recording, `(S, R)`: `errors` by name in the unit of each, the `status`
+    (0: healthy to the end), and the mean weight of each of the `gates`."""
 
-    errors: Errors
-    healthy: Array
-    stance: Array
+    errors: dict[str, Array]
+    status: Array
+    gates: dict[str, Array]
 
 
-def scores(problem: Problem, params: Any, values: dict[str, Array], batch: Batch) -> Scores:
-    """Run the sets `values[path] (S,)` over all recordings of the batch; to be jitted by the caller."""
+def scores(
+    problem: Problem, params: Any, values: dict[str, Array], batch: Batch, loss_only: bool = False
+) -> Scores:
+    """Run the sets `values[path] (S,)` over all recordings of the batch, and tell all scores that go with the
+    problem's loss, or `loss_only`; to be jitted by the caller."""
     lanes = {path: value[..., None] for path, value in values.items()}
-    points = scan_points(problem.system, parameters.with_leaves(params, lanes), batch.packed, batch.slots)
-    errors = landmark_errors(batch.estimates(points), batch.reference, problem.alignment)
-    return Scores(errors, batch.healthy(points), batch.stance(points))
+    chosen = score_kind(problem.loss)
+    kinds = (chosen,) if loss_only else told_with(problem.loss)
+    keep = tuple(dict.fromkeys(name for kind in kinds for name in kind.keep))
+    params = parameters.with_leaves(params, lanes)
+    points = scan_points(problem.system, params, batch.packed, batch.slots, keep)
+    found = batch.estimates(points)
+    errors = {kind.name: kind.of(found, batch.reference, problem.alignment) for kind in kinds}
+    return Scores(errors, batch.status(points), batch.gates(points))
 
 
 @partial(jax.jit, static_argnames="problem")
-def losses(problem: Problem, params: Any, values: dict[str, Array], batch: Batch) -> Array:
-    """Loss of each recording for parameter sets `values[path] (S,)`: `(S, R)` in m, inf where unhealthy."""
-    found = scores(problem, params, values, batch)
-    value = getattr(found.errors, LOSSES[problem.loss])
-    return jnp.where(found.healthy & jnp.isfinite(value), value, jnp.inf)
+def losses(problem: Problem, params: Any, values: dict[str, Array], batches: Batches) -> Array:
+    """Loss of each recording for parameter sets `values[path] (S,)`: `(S, R)`, inf where unhealthy."""
+    each = []
+    for batch in batches.parts:
+        found = scores(problem, params, values, batch, loss_only=True)
+        value = found.errors[problem.loss]
+        each.append(jnp.where((found.status == 0) & jnp.isfinite(value), value, jnp.inf))
+    return batches.joined(each)
+
+
+_KNOWN = {"xy": (2, "x and y"), "xyz": (3, "x, y and z")}
 
 
 def walks_for(
     system: System,
     params: Any,
     recordings: Sequence[Recording],
-    sensor: str,
+    sensors: Sensors,
     clock: Clock | None,
     loss: str,
 ) -> list[Walk]:
     """Recordings ready for a filter, refused where they are too short or have nothing to score."""
+    kind = score_kind(loss)
     walks = []
     for recording in recordings:
-        found = walk(recording, sensor, clock)
+        found = walk(recording, sensors, clock, needs=system.needs, headings=kind.known == "attitude")
         check_walk(system, params, found)
-        needed = 3 if loss == "rms_3d" else 2
-        count = int(np.isfinite(found.position[:, :needed]).all(axis=1).sum())
+        if kind.known == "attitude":
+            count, what = len(found.index), "dense truth with the orientation of its sensor, at two points"
+        else:
+            needed, axes = _KNOWN[kind.known]
+            count = int(np.isfinite(found.position[:, :needed]).all(axis=1).sum())
+            what = f"at least two landmarks (or dense truth) with known {axes}"
         if count < 2:
-            axes = "x, y and z" if needed == 3 else "x and y"
-            raise InputError(
-                f"{recording.name}: loss '{loss}' needs at least two landmarks (or dense truth) "
-                f"with known {axes}; it has {count}"
-            )
+            raise InputError(f"{recording.name}: loss '{loss}' needs {what}; it has {count or 'none'}")
         walks.append(found)
     return walks

@@ -10,18 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from pedjax import parameters
+from pedjax.aids.magnetic_heading import looking_of, north_of
 from pedjax.detectors.field import FieldParameters, Look, log_ratio
 from pedjax.errors import InputError
 from pedjax.evaluation.resampling import Labelled
 from pedjax.evaluation.roc import Reached, Roc, Wanted
-from pedjax.packing import bucket
 from pedjax.recording import Clock, Recording
 from pedjax.running import Track
 from pedjax.running import run as run_system
+from pedjax.shapes import bucket
 from pedjax.simulation.footsteps import GAITS
 from pedjax.simulation.labels import largest_changes, stance_edges, stance_middles
 from pedjax.simulation.world import SensorTruth
-from pedjax.systems.ma2018 import Ma2018Parameters, looking_of, north_of
 
 STRAIGHT, CURVED = np.radians(10.0), np.radians(30.0)
 """Turn of the foot within a window below which its path counts as straight, above which as curved (kit)."""
@@ -62,7 +62,8 @@ class FieldWalk(NamedTuple):
 def field_walk(
     recording: Recording,
     truth: SensorTruth,
-    params: Ma2018Parameters,
+    params: Any,
+    system: Any = "ma2018",
     *,
     sensor: str = "foot",
     clock: Clock | None = None,
@@ -74,7 +75,7 @@ def field_walk(
     changes = {"compass.update": "none", "compass.gyroscope_rows": False}
     levelling = {"compass.looking.levelling": looking_of(params.compass).levelling}
     alone = parameters.replace(params, {**changes, **levelling})
-    track = run_system(recording, "ma2018", alone, sensor=sensor, clock=clock)
+    track = run_system(recording, system, alone, sensor=sensor, clock=clock)
     steps = params.field.window
     at = np.flatnonzero(track.more["look"] > 0)
     if len(at) <= steps:
@@ -152,7 +153,7 @@ def together(walks: Sequence[FieldWalk]) -> Windows:
 
 
 def labelled(
-    params: Ma2018Parameters,
+    params: Any,
     detectors: Sequence[str],
     walks: Sequence[FieldWalk],
     field_uT: float = 3.0,
@@ -199,7 +200,7 @@ def parts(walks: Sequence[FieldWalk]) -> dict[str, list[np.ndarray]]:
 
 
 def at_point(
-    params: Ma2018Parameters,
+    params: Any,
     detector: str,
     curve: Roc,
     wanted: Wanted,
@@ -226,9 +227,7 @@ def at_point(
     return Reached(inside, float(passed[label].mean()), float(passed[~label].mean()))
 
 
-def _vector_at(
-    params: Ma2018Parameters, threshold: float, windows: Windows, north: float
-) -> dict[str, float]:
+def _vector_at(params: Any, threshold: float, windows: Windows, north: float) -> dict[str, float]:
     """The false alarm with which as many windows pass as with the one in force and that threshold; the
     `change` where no false alarm does it. More windows pass the larger either is."""
     from scipy.special import ndtr, ndtri

@@ -23,6 +23,7 @@ from pedjax.system import Output, System
 def scan(
     system: System,
     parameters: Any,
+    site: Any,
     samples: Any,
     state: Any,
     keep: Callable[[Output], Any] = lambda output: output,
@@ -30,71 +31,101 @@ def scan(
     """Run over all samples from `state`; returns the last state and what `keep` takes of each output."""
 
     def body(carry: Any, sample: Any) -> tuple[Any, Any]:
-        carry, output = system.step(parameters, carry, sample)
+        carry, output = system.step(parameters, site, carry, sample)
         return carry, keep(output)
 
     return jax.lax.scan(body, state, samples)
 
 
 class Packed(NamedTuple):
-    """Recordings laid end to end in columns, the trailing lane axis C; a new one begins with a new chunk.
+    """R recordings laid end to end in columns, the trailing lane axis C; a new one begins with a new chunk.
 
-    `samples` tree of `(T, ..., C)`; `opening` tree of `(chunks, ..., C)`, read where `begin (chunks, C)` is
-    true; `slot (T, C)` int is the row of its chunk's buffer in which a sample's position is kept, −1 for
-    none. T is a multiple of the number of chunks.
+    `samples` tree of `(T, ..., C)`; `openings` tree of `(n, ..., R)`; `which (chunks, C)` int is the
+    recording that begins with a chunk, −1 where none does; `slot (T, C)` int is the row of its chunk's
+    buffer in which what is kept of a sample goes, −1 for none. T is a multiple of the number of chunks.
+    `site` is data beside the samples, the same for all of them.
     """
 
     samples: Any
-    opening: Any
-    begin: Array
+    openings: Any
+    which: Array
     slot: Array
+    site: Any = None
 
 
 class Points(NamedTuple):
-    """What a score needs of a run: `position (chunks, slots, 3, *L)` where it looks, and for each chunk the
-    sum of stance weights `updates (chunks, *L)` and `healthy (chunks, *L)`."""
+    """What a score needs of a run: `kept` by field of the estimate, `(chunks, slots, ..., *L)` where it
+    looks; and for each chunk the sums of the weights of `gates` by name, and the `status`, `(chunks, *L)`:
+    the first of its recording so far that is not healthy."""
 
-    position: Array
-    updates: Array
-    healthy: Array
+    kept: dict[str, Array]
+    gates: dict[str, Array]
+    status: Array
 
 
-def scan_points(system: System, parameters: Any, packed: Packed, slots: int) -> Points:
-    """Positions at the chosen samples only, for any number of lanes, differentiable in little memory.
+def starts_of(system: System, parameters: Any, packed: Packed) -> Any:
+    """The first state of each parameter set and recording, with lanes `(S, R)`, or `(R,)`."""
+    state = system.start(parameters, packed.site, packed.openings)
+    lanes = lane_shape(parameters, jnp.zeros(jax.tree.leaves(packed.openings)[0].shape[-1]))
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (*x.shape[: x.ndim - len(lanes)], *lanes)), state)
+
+
+def scan_points(
+    system: System, parameters: Any, packed: Packed, slots: int, keep: tuple[str, ...] = ("position",)
+) -> Points:
+    """The chosen fields of the estimate at the chosen samples only, for any number of lanes,
+    differentiable in little memory.
 
     Parameters have lanes `(S, 1)` or none; the result has lanes `(S, C)`, or `(C,)`.
     """
-    chunks, columns = packed.begin.shape
+    chunks, columns = packed.which.shape
     shape = lane_shape(parameters, jnp.zeros(columns))
+    starts = starts_of(system, parameters, packed)
     # The system sees one lane axis and a unit axis after it. The unit axis matters: the compiler unrolls an
     # innermost loop of sixteen into scalar code, but leaves a loop around a single turn to the vector units.
     parameters = jax.tree.map(lambda x: _flat(x, 0, shape) if x.ndim else x, parameters)
     spread = partial(jax.tree.map, lambda x: _flat(x, x.ndim - 1, shape))
     split = partial(jax.tree.map, lambda x: x.reshape(chunks, x.shape[0] // chunks, *x.shape[1:]))
-    first = system.start(parameters, spread(jax.tree.map(lambda x: x[0], packed.opening)))
-    like = first.navigation.position
-    rows = jnp.arange(slots).reshape(slots, 1, 1, 1)
+
+    def begin(which: Array) -> Any:
+        """The states with which the columns' recordings begin, laid out in the step's lanes."""
+        picked = jnp.maximum(which, 0)
+        return jax.tree.map(lambda x: _flat(x[..., picked], x.ndim - len(shape), shape), starts)
+
+    def kept_of(output: Output) -> dict[str, Array]:
+        return {name: getattr(output.estimate, name) for name in keep}
+
+    first = begin(packed.which[0])
+    sample = spread(jax.tree.map(lambda x: x[0], packed.samples))
+    like = jax.eval_shape(lambda: system.step(parameters, packed.site, first, sample)[1])
+    rows = jnp.arange(slots)
 
     @partial(jax.checkpoint, prevent_cse=False)  # only the state is stored for each sample, not each product
     def inner(carry: Any, sample: tuple[Any, Array]) -> tuple[Any, None]:
-        state, buffer, updates = carry
-        state, output = system.step(parameters, state, sample[0])
-        buffer = jnp.where(rows == sample[1], output.navigation.position, buffer)
-        return (state, buffer, updates + output.stance), None
+        state, buffer, gates, status = carry
+        state, output = system.step(parameters, packed.site, state, sample[0])
+        buffer = {
+            name: jnp.where(rows.reshape(slots, *(1,) * x.ndim) == sample[1], x, buffer[name])
+            for name, x in kept_of(output).items()
+        }
+        gates = {name: total + output.gates[name].weight for name, total in gates.items()}
+        return (state, buffer, gates, jnp.where(status == 0, output.status, status)), None
 
     @jax.checkpoint
-    def outer(state: Any, part: tuple[Any, Array, Any, Array]) -> tuple[Any, Points]:
-        samples, slot, opening, begin = spread(part)
-        fresh = system.start(parameters, opening)
-        state = jax.tree.map(lambda new, old: jnp.where(begin, new, old), fresh, state)
-        buffer = jnp.zeros((slots, *like.shape), like.dtype)
-        updates = jnp.zeros(like.shape[1:], like.dtype)
-        (state, buffer, updates), _ = jax.lax.scan(inner, (state, buffer, updates), (samples, slot))
-        return state, Points(buffer, updates, state.healthy)
+    def outer(carry: Any, part: tuple[Any, Array, Array]) -> tuple[Any, Points]:
+        samples, slot, which = part
+        state, status = carry
+        starting = spread(which) >= 0
+        state = jax.tree.map(lambda new, old: jnp.where(starting, new, old), begin(which), state)
+        status = jnp.where(starting, 0, status)
+        buffer = {name: jnp.zeros((slots, *x.shape), x.dtype) for name, x in kept_of(like).items()}
+        gates = {name: jnp.zeros(x.weight.shape, x.weight.dtype) for name, x in like.gates.items()}
+        inside = (spread(samples), spread(slot))
+        (state, buffer, gates, status), _ = jax.lax.scan(inner, (state, buffer, gates, status), inside)
+        return (state, status), Points(buffer, gates, status)
 
-    found = jax.lax.scan(
-        outer, first, (split(packed.samples), split(packed.slot), packed.opening, packed.begin)
-    )[1]
+    none = jnp.zeros(like.status.shape, like.status.dtype)
+    found = jax.lax.scan(outer, (first, none), (split(packed.samples), split(packed.slot), packed.which))[1]
     return jax.tree.map(lambda x: x.reshape(*x.shape[:-2], *shape), found)
 
 

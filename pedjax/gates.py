@@ -12,6 +12,22 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from pedjax.parameters import leaf, parameters, setting
+
+
+@parameters
+class SoftGate:
+    """What every group of parameters that holds a gate is: tuning finds gates by this type."""
+
+    width: Array = leaf(
+        0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: the published hard test",
+        meaning="Scale of the gate's transition in log units; 0 is the hard test, raised it opens gradually.",
+    )  # fmt: skip
+    straight_through: bool = setting(
+        False, source="kit choice",
+        meaning="Whether a soft gate passes its hard value forward and its soft slope backward.",
+    )  # fmt: skip
+
 
 def gate(log_ratio: Array, width: ArrayLike, straight_through: bool = False) -> Array:
     """Weight of a measurement whose statistic is `exp(log_ratio)` times its threshold.

@@ -4,6 +4,10 @@ A group is a frozen dataclass made with `@parameters`. Its `leaf` fields are num
 and are what JAX sees and gradients reach; its `setting` fields are fixed choices, part of the tree's
 structure, so that another choice compiles another program. Groups nest, and every leaf or setting is named
 by its dotted path, `stance.shoe.threshold`.
+
+What a leaf is good for is said where it is made, once: its `meaning`, whether tuning and sweeps vary it by
+themselves (`tune`), whether it is an operating `point` of its detector, and under which settings it has an
+effect at all (`when`). `active` and `tunable` read that, for any tree.
 """
 
 from __future__ import annotations
@@ -25,13 +29,18 @@ P = TypeVar("P")
 
 @dataclasses.dataclass(frozen=True)
 class Spec:
-    """What is known of a leaf: `unit`, bounds `low` to `high`, `scale` it is searched on, `source`."""
+    """What is known of a leaf: `unit`, bounds `low` to `high`, `scale` it is searched on, `source`, and its
+    `meaning` in a sentence. `tune`: worth varying by default; `point`: what a detector's statistic is held
+    against, which moves along its ROC."""
 
     unit: str
     low: float
     high: float
     scale: Literal["log", "linear"]
     source: str
+    meaning: str = ""
+    tune: bool = False
+    point: bool = False
 
     def to_free(self, value: ArrayLike) -> Array:
         """The unconstrained number of a value; a step of 1 is about one e-fold, or a tenth of the range."""
@@ -62,10 +71,17 @@ class Spec:
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """What is known of a setting: the allowed `choices` (empty: any value of its type) and its `source`."""
+    """What is known of a setting: the allowed `choices` (empty: any value of its type), its `source` and its
+    `meaning` in a sentence."""
 
     choices: tuple[Any, ...]
     source: str
+    meaning: str = ""
+
+
+When = Mapping[str, Any]
+"""Settings under which something has an effect: name to the value, or the values, that it needs. A name is
+looked for in the group itself, then in those around it."""
 
 
 def leaf(
@@ -76,21 +92,26 @@ def leaf(
     high: float,
     scale: Literal["log", "linear"] = "log",
     source: str,
+    meaning: str = "",
+    tune: bool = False,
+    point: bool = False,
+    when: When | None = None,
 ) -> Any:
-    """A number that can be tuned."""
+    """A number that can be tuned. `meaning` says in a sentence what it is and what raising it does."""
     if not low <= value <= high or (scale == "log" and low <= 0):
         raise ValueError(f"default {value} or bounds {low} to {high} do not fit a {scale} scale")
-    return dataclasses.field(default=value, metadata={"spec": Spec(unit, low, high, scale, source)})
+    spec = Spec(unit, low, high, scale, source, meaning, tune, point)
+    return dataclasses.field(default=value, metadata={"spec": spec, "when": when or {}})
 
 
-def setting(value: Any, *, choices: tuple[Any, ...] = (), source: str = "") -> Any:
+def setting(value: Any, *, choices: tuple[Any, ...] = (), source: str = "", meaning: str = "") -> Any:
     """A fixed choice (a name, a switch, a window length): changing it compiles another program."""
-    return dataclasses.field(default=value, metadata={"choice": Choice(choices, source)})
+    return dataclasses.field(default=value, metadata={"choice": Choice(choices, source, meaning)})
 
 
-def group(cls: type[P]) -> P:
+def group(cls: type[P], *, when: When | None = None) -> P:
     """A nested group with its own defaults."""
-    return dataclasses.field(default_factory=cls, metadata={"group": True})
+    return dataclasses.field(default_factory=cls, metadata={"group": True, "when": when or {}})
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
@@ -101,6 +122,38 @@ def parameters(cls: type[P]) -> type[P]:
     data = [f.name for f in fields if "choice" not in f.metadata]
     meta = [f.name for f in fields if "choice" in f.metadata]
     return jax.tree_util.register_dataclass(made, data, meta)
+
+
+def grown(base: type[P], groups: Mapping[str, type], name: str, about: str = "") -> type[P]:
+    """A class of parameters with the fields of `base` and further groups behind them."""
+    return _extended(base, {key: (cls, group(cls)) for key, cls in groups.items()}, name, about)
+
+
+def _extended(base: type[P], new: Mapping[str, tuple[type, Any]], name: str, about: str | None) -> type[P]:
+    """A class with further fields, name to type and what `leaf`, `setting` or `group` gave."""
+    annotations = {key: kind for key, (kind, _) in new.items()}
+    own = {key: made for key, (_, made) in new.items()}
+    return parameters(type(name, (base,), {"__annotations__": annotations, "__doc__": about, **own}))
+
+
+_OFFERED: dict[type, type] = {}  # a class of parameters to its latest extension
+
+
+def offer(cls: type[P], name: str, own: type, setting_name: str = "detector") -> None:
+    """Add a choice to a class whose setting chooses among groups: the group `own` under that name. Trees made
+    from now on have it; the same name once more replaces it."""
+    base = latest(cls)
+    chooser = base.__dataclass_fields__[setting_name]  # type: ignore[attr-defined]
+    known: Choice = chooser.metadata["choice"]
+    choices_ = tuple(dict.fromkeys([*known.choices, name]))
+    chosen = setting(chooser.default, choices=choices_, source=known.source, meaning=known.meaning)
+    new = {setting_name: (str, chosen), name: (own, group(own, when={setting_name: name}))}
+    _OFFERED[cls] = _extended(base, new, cls.__name__, cls.__doc__)
+
+
+def latest(cls: type) -> type:
+    """The class with all choices that were added to it."""
+    return _OFFERED.get(cls, cls)
 
 
 def _walk(tree: Any, prefix: str = "") -> Iterator[tuple[str, Any, Spec | Choice]]:
@@ -120,6 +173,62 @@ def specs(tree: Any) -> dict[str, Spec]:
 def choices(tree: Any) -> dict[str, Choice]:
     """Dotted path to `Choice` of every setting."""
     return {path: about for path, _, about in _walk(tree) if isinstance(about, Choice)}
+
+
+def active(tree: Any) -> frozenset[str]:
+    """Paths of the leaves that have an effect under the tree's settings."""
+
+    def inner(node: Any, prefix: str, around: tuple[Any, ...]) -> Iterator[str]:
+        scopes = (node, *around)
+        for f in dataclasses.fields(node):
+            if "choice" in f.metadata or not _holds(f.metadata.get("when", {}), scopes):
+                continue
+            if "group" in f.metadata:
+                yield from inner(getattr(node, f.name), f"{prefix}{f.name}.", scopes)
+            else:
+                yield prefix + f.name
+
+    return frozenset(inner(tree, "", ()))
+
+
+def _holds(when: When, scopes: tuple[Any, ...]) -> bool:
+    for name, wanted in when.items():
+        holder = next(scope for scope in scopes if hasattr(scope, name))
+        if getattr(holder, name) not in (wanted if isinstance(wanted, tuple) else (wanted,)):
+            return False
+    return True
+
+
+def idle_because(tree: Any, path: str) -> str:
+    """Why a leaf has no effect, as `stance.detector is 'ared'`; empty where it has one."""
+    node, prefix = tree, ""
+    scopes: tuple[Any, ...] = (tree,)
+    prefixes: tuple[str, ...] = ("",)
+    for key in path.split("."):
+        f = next(f for f in dataclasses.fields(node) if f.name == key)
+        for name in f.metadata.get("when", {}):
+            if not _holds({name: f.metadata["when"][name]}, scopes):
+                k = next(i for i, scope in enumerate(scopes) if hasattr(scope, name))
+                return f"{prefixes[k]}{name} is {getattr(scopes[k], name)!r}"
+        node, prefix = getattr(node, key), f"{prefix}{key}."
+        scopes, prefixes = (node, *scopes), (prefix, *prefixes)
+    return ""
+
+
+def tunable(tree: Any) -> tuple[str, ...]:
+    """Paths that tuning and sweeps vary unless told otherwise: those made with `tune` that have an effect."""
+    found = active(tree)
+    return tuple(path for path, spec in specs(tree).items() if spec.tune and path in found)
+
+
+def groups_of(tree: Any, kind: type, prefix: str = "") -> dict[str, Any]:
+    """Dotted path to group of every group of that type, whatever its name."""
+    found = {prefix: tree} if isinstance(tree, kind) else {}
+    for f in dataclasses.fields(tree):
+        if "group" in f.metadata:
+            path = f"{prefix}.{f.name}" if prefix else f.name
+            found |= groups_of(getattr(tree, f.name), kind, path)
+    return found
 
 
 def values(tree: Any) -> dict[str, Any]:
@@ -231,16 +340,23 @@ def flatten(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def table(tree: Any) -> str:
-    """One line for each leaf and setting: path, value, unit, bounds, source."""
-    rows = []
+    """Two lines for each leaf and setting: path, value, unit, bounds, source, and what it means. A leaf that
+    has no effect under these settings says why."""
+    rows, meanings = [], []
     for path, value, about in _walk(tree):
         if isinstance(about, Spec):
             bounds = f"{about.low:g} to {about.high:g}, {about.scale}"
             rows.append((path, f"{float(value):.6g}", about.unit, bounds, about.source))
+            idle = idle_because(tree, path)
+            meanings.append(about.meaning + (f" [no effect: {idle}]" if idle else ""))
         else:
             allowed = " | ".join(str(c) for c in about.choices)
             rows.append((path, str(value), "setting", allowed, about.source))
+            meanings.append(about.meaning)
     widths = [max(len(row[i]) for row in rows) for i in range(4)]
-    return "\n".join(
-        "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[4]]) for row in rows
-    )
+    lines = []
+    for row, meaning in zip(rows, meanings, strict=True):
+        cells = (c.ljust(w) for c, w in zip(row, widths, strict=False))
+        lines.append("  ".join([*cells, row[4]]))
+        lines += [f"    {meaning.strip()}"] if meaning.strip() else []
+    return "\n".join(lines)

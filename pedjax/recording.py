@@ -37,6 +37,11 @@ def sampling_rate(steps: np.ndarray) -> float:
     return float(len(usual) / usual.sum())
 
 
+def nominal_rate(imu: Inertial) -> float:
+    """The sampling rate rounded to whole Hz: what sets the length of windows."""
+    return max(float(round(imu.rate)), 1.0)
+
+
 @dataclass(frozen=True)
 class Stream:
     """Samples of one instrument on its own clock: `time (T,)` in s, `values (T, D)`."""
@@ -76,6 +81,7 @@ class Landmarks:
 
     time: np.ndarray
     position: np.ndarray
+    sensor: str | None = None
 
     def __post_init__(self) -> None:
         _as_floats(self, "time", "position")
@@ -93,6 +99,7 @@ class Truth:
     time: np.ndarray
     position: np.ndarray
     quaternion: np.ndarray | None = None
+    sensor: str | None = None
 
     def __post_init__(self) -> None:
         _as_floats(self, "time", "position", *(["quaternion"] if self.quaternion is not None else []))
@@ -120,6 +127,10 @@ class Recording:
     def duration(self) -> float:
         """Seconds from the first to the last inertial sample of the longest sensor."""
         return max(float(s.gyroscope.time[-1] - s.gyroscope.time[0]) for s in self.sensors.values())
+
+    def truth_of(self, sensor: str | None = None) -> Truth | None:
+        """The truth of that sensor."""
+        return self.truth
 
     def sensor(self, name: str = "foot") -> Sensor:
         """The sensor of that name."""

@@ -8,20 +8,20 @@ from typing import Any
 import jax
 import numpy as np
 
-from pedjax import rotations
 from pedjax.errors import InputError, suggest
+from pedjax.evaluation.heading import heading_rms
 from pedjax.evaluation.landmarks import ALIGNMENTS, align, landmark_errors
-from pedjax.packing import points_of, reference_of
-from pedjax.recording import Recording, nearest
+from pedjax.recording import Recording
 from pedjax.running import Track
+from pedjax.walks import attitudes_of, points_of, reference_of
 
 
 @dataclass(frozen=True)
 class Score:
     """Errors of one track in m after `alignment`, at `count` landmarks (or truth samples).
 
-    `percent_of_distance` is the final horizontal error over the distance walked. `pyshoe_armse_m` is the
-    mean over points of the RMS over x and y. `heading_rms_deg` needs a truth with orientation; a constant
+    `percent_of_distance` is the final horizontal error over the distance walked. `armse_m` is the mean
+    over points of the RMS over x and y. `heading_rms_deg` needs a truth with orientation; a constant
     offset is taken off. Values that the landmarks cannot give are None.
     """
 
@@ -33,7 +33,7 @@ class Score:
     max_2d_m: float | None
     final_2d_m: float | None
     percent_of_distance: float | None
-    pyshoe_armse_m: float | None
+    armse_m: float | None
     rms_height_m: float | None = None
     heading_rms_deg: float | None = None
     warnings: tuple[str, ...] = ()
@@ -54,7 +54,7 @@ def choose_alignment(position: np.ndarray) -> str:
 
 def aligned(track: Track, recording: Recording, alignment: str = "auto") -> np.ndarray:
     """The whole track's positions `(T, 3)` laid on the landmarks by the alignment of `evaluate`."""
-    index, position = points_of(recording, track.time, None)
+    index, position = points_of(recording, track.time, None, track.sensor)
     if len(index) == 0 or alignment == "none":
         return track.position
     how = choose_alignment(position) if alignment == "auto" else alignment
@@ -70,7 +70,7 @@ def evaluate(track: Track, recording: Recording, alignment: str = "auto") -> Sco
     """Errors of a track at the recording's landmarks (or dense truth); None where it has neither."""
     if alignment not in (*ALIGNMENTS, "auto"):
         raise InputError(f"alignment '{alignment}' is unknown{suggest(alignment, (*ALIGNMENTS, 'auto'))}")
-    index, position = points_of(recording, track.time, None)
+    index, position = points_of(recording, track.time, None, track.sensor)
     if len(index) == 0:
         return None
     how = choose_alignment(position) if alignment == "auto" else alignment
@@ -96,10 +96,12 @@ def evaluate(track: Track, recording: Recording, alignment: str = "auto") -> Sco
         max_2d_m=where(flat.any(), errors.max_2d),
         final_2d_m=where(flat.any(), final),
         percent_of_distance=where(flat.any() and distance > 0, 100 * final / max(distance, 1e-9)),
-        pyshoe_armse_m=where(flat.any(), errors.pyshoe_armse),
+        armse_m=where(flat.any(), errors.armse),
         rms_height_m=where(known.any(), float(np.sqrt(np.mean(height**2))) if known.any() else 0.0),
         heading_rms_deg=_heading_rms(track, recording),
-        warnings=_alone(int(flat.sum())) + _mirrored(estimate[flat], position[flat], errors.rms_2d),
+        warnings=_of_another(track, recording)
+        + _alone(int(flat.sum()))
+        + _mirrored(estimate[flat], position[flat], errors.rms_2d),
     )
 
 
@@ -124,15 +126,20 @@ def _mirrored(estimate: np.ndarray, position: np.ndarray, rms: float) -> tuple[s
 
 
 def _heading_rms(track: Track, recording: Recording) -> float | None:
-    truth = recording.truth
-    if truth is None or truth.quaternion is None:
+    index, position, attitude = attitudes_of(recording, track.time, None, track.sensor)
+    if not len(index):
         return None
-    good = np.isfinite(truth.quaternion).all(axis=1)
-    good &= (truth.time >= track.time[0]) & (truth.time <= track.time[-1])
-    if not good.any():
-        return None
-    reference = np.asarray(rotations.from_quaternion(truth.quaternion[good].T))
-    at = nearest(track.time, truth.time[good])
-    turn = np.einsum("tij,kjt->tik", track.attitude[at], reference)
-    yaw = np.unwrap(np.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1]))
-    return float(np.degrees(np.std(yaw)))
+    found = heading_rms(np.asarray(track.attitude, float)[index], reference_of(position, attitude=attitude))
+    return float(found)
+
+
+def _of_another(track: Track, recording: Recording) -> tuple[str, ...]:
+    """What is measured at another place of the body is no truth of this one."""
+    marks, truth = recording.landmarks, recording.truth_of(track.sensor)
+    source, what = (marks, "landmarks") if marks is not None else (truth, "truth")
+    if source is None or source.sensor is None or source.sensor == track.sensor:
+        return ()
+    return (
+        f"the {what} are those of sensor '{source.sensor}', the track is that of '{track.sensor}': how the "
+        "two move against each other counts as error",
+    )

@@ -13,8 +13,7 @@ from pedjax.detectors import stance
 from pedjax.errors import InputError
 from pedjax.evaluation.resampling import Labelled
 from pedjax.evaluation.roc import Reached, Roc, Wanted, roc
-from pedjax.packing import nominal_rate
-from pedjax.recording import Inertial, Recording
+from pedjax.recording import Inertial, Recording, nominal_rate
 
 
 class Labels(NamedTuple):

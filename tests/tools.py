@@ -100,7 +100,7 @@ def oracle_settings(params, force, heading):
         initial_velocity_std=params.initial.velocity,
         initial_accelerometer_bias_std=params.initial.accelerometer_bias,
         initial_C=oracle.levelled_attitude(force, heading),
-        attitude_method=params.updates.attitude_update,
+        attitude_method=params.strapdown.attitude_update,
     )
 
 

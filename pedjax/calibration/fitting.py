@@ -17,9 +17,9 @@ from pedjax.calibration.magnetometer import Calibration, apply, uncalibrated
 from pedjax.detectors import stance
 from pedjax.detectors.segments import clean_stance, stance_id
 from pedjax.errors import InputError
-from pedjax.packing import bucket, nominal_rate
-from pedjax.recording import Inertial
+from pedjax.recording import Inertial, nominal_rate
 from pedjax.runtime import double_precision
+from pedjax.shapes import bucket
 
 LEAST_FLATNESS = 0.02
 LEAST_COVERAGE = 0.02

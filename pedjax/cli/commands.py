@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,10 @@ from tqdm import tqdm
 
 from pedjax import __version__, parameters, plots
 from pedjax.cli import allan, calibrate, roc, simulate, sweeps
-from pedjax.cli.common import configured, say, write_metrics, write_parameters
-from pedjax.config import load, override, resolve, resolved, tune_settings
+from pedjax.cli.common import configured, loaded, say, write_metrics, write_parameters
+from pedjax.config import override, resolve, resolved, site_of, tune_settings
+from pedjax.evaluation.scores import score_kind
 from pedjax.output import folder, write_figure, write_json, write_table, write_toml
-from pedjax.packing import distinct
 from pedjax.recording import Recording
 from pedjax.running import Track
 from pedjax.running import run as run_system
@@ -25,6 +26,7 @@ from pedjax.scoring import Score, evaluate
 from pedjax.sources import read_all
 from pedjax.tuning import fingerprint, refuse_overlap, split
 from pedjax.tuning import tune as tune_system
+from pedjax.walks import distinct
 
 _MOST_PICTURES = 12  # of single walks while tuning
 
@@ -83,10 +85,11 @@ def run(args: argparse.Namespace) -> int:
     config = configured(args)
     out = folder(config.out)
     chosen, params = resolve(config)
+    site = site_of(config)
     recordings = read_all(config.recordings, args.format)
     entries = []
     for path, recording, stem in zip(config.recordings, recordings, _stems(recordings), strict=True):
-        track = run_system(recording, chosen, params, sensor=config.sensor, clock=config.clock)
+        track = run_system(recording, chosen, params, sensor=config.sensor, clock=config.clock, site=site)
         score = evaluate(track, recording, config.alignment)
         entry = _entry(path, recording, track, score)
         if fingerprint(recording) in config.tuned_on:
@@ -97,10 +100,9 @@ def run(args: argparse.Namespace) -> int:
         if config.figures:
             picture = plots.trajectory(track, recording, score, config.alignment)
             write_figure(out / f"{stem}_trajectory.png", picture)
-            write_figure(
-                out / f"{stem}_stance.png",
-                plots.stance_over_signals(track, recording, config.sensor, config.clock),
-            )
+            for gate in list(track.gates)[:1]:
+                picture = plots.gate_over_signals(track, recording, gate, config.clock)
+                write_figure(out / f"{stem}_{gate}.png", picture)
     write_metrics(out, config, entries)
     write_toml(out / "config.toml", resolved(config, params))
     say(f"results in {out}")
@@ -115,16 +117,19 @@ def _stems(recordings: Sequence[Recording]) -> list[str]:
 
 def _columns(track: Track) -> dict[str, Sequence[Any]]:
     columns: dict[str, Sequence[Any]] = {"time_s": track.time.tolist()}
-    for name, values, unit in (
-        ("position", track.position, "m"),
-        ("velocity", track.velocity, "m_per_s"),
-    ):
-        columns |= {f"{name}_{a}_{unit}": v.tolist() for a, v in zip("xyz", values.T, strict=True)}
+    for name, unit in (("position", "m"), ("velocity", "m_per_s")):
+        if name in track.estimate:
+            values = track.estimate[name].T
+            columns |= {f"{name}_{a}_{unit}": v.tolist() for a, v in zip("xyz", values, strict=True)}
     columns |= {f"{a}_rad": v.tolist() for a, v in zip(("roll", "pitch", "yaw"), track.euler.T, strict=True)}
-    columns["stance"] = track.stance.tolist()
-    columns["stance_id"] = track.stances().tolist()
-    columns["sigma_horizontal_m"] = np.hypot(track.sigma[:, 6], track.sigma[:, 7]).tolist()
-    columns["sigma_yaw_rad"] = track.sigma[:, 2].tolist()
+    for k, (name, gate) in enumerate(track.gates.items()):
+        columns[name] = gate.weight.tolist()
+        if k == 0:
+            columns[f"{name}_id"] = gate.stretches(track.time).tolist()
+    if "position" in track.sigma:
+        columns["sigma_horizontal_m"] = np.hypot(*track.sigma["position"].T[:2]).tolist()
+    if "attitude" in track.sigma:
+        columns["sigma_yaw_rad"] = track.sigma["attitude"][:, 2].tolist()
     return columns
 
 
@@ -139,7 +144,7 @@ def _entry(path: str, recording: Recording, track: Track, score: Score | None) -
         "distance_m": track.distance,
         "duration_s": float(track.time[-1] - track.time[0]),
         "healthy": track.healthy,
-        "stance_fraction": float((track.stance > 0.5).mean()),
+        **{f"{name}_fraction": float(gate.open.mean()) for name, gate in track.gates.items()},
     }
     if score is not None:
         entry["landmarks"] = {k: v for k, v in score.as_dict().items() if k != "warnings"}
@@ -158,6 +163,8 @@ def _line(path: str, recording: Recording, track: Track, score: Score | None, tu
         )
     if tuned_on:
         text += " [tuned on this recording]"
+    if score is not None and score.rms_2d_m is None and score.heading_rms_deg is not None:
+        text += f", heading RMS {score.heading_rms_deg:.2f} deg"
     if not track.healthy:
         text += " [NOT HEALTHY]"
     for note in _notes(recording, track, score):
@@ -170,6 +177,8 @@ def tune(args: argparse.Namespace) -> int:
     config = configured(args)
     settings = tune_settings(config)
     chosen, params = resolve(config)
+    site = site_of(config)
+    unit = score_kind(settings.loss).unit
     out = folder(config.out)
     recordings = read_all(config.recordings, args.format)
     held = read_all(config.held_back, args.format)
@@ -184,14 +193,14 @@ def tune(args: argparse.Namespace) -> int:
 
         def progress(iteration: int, total: int, best: float) -> None:
             bar.n = iteration
-            bar.set_postfix_str(f"best {best:.3f} m")
+            bar.set_postfix_str(f"best {best:.3f} {unit}")
             bar.refresh()
             if not sys.stderr.isatty():
-                say(f"step {iteration} of {total}: best {best:.4f} m")
+                say(f"step {iteration} of {total}: best {best:.4f} {unit}")
 
         tuned = tune_system(
             recordings, settings, chosen, params,
-            held_back=held, sensor=config.sensor, clock=config.clock, progress=progress,
+            held_back=held, sensor=config.sensor, clock=config.clock, site=site, progress=progress,
         )  # fmt: skip
     write_parameters(
         out / "tuned.toml",
@@ -205,61 +214,62 @@ def tune(args: argparse.Namespace) -> int:
     parts = [("tuned_on", p, r) for p, r in zip(paths, recordings, strict=True)]
     parts += [("held_back", p, r) for p, r in zip(held_paths, held, strict=True)]
     for (part, path, recording), stem in zip(parts, _stems([*recordings, *held]), strict=True):
-        track = run_system(recording, chosen, tuned.params, sensor=config.sensor, clock=config.clock)
+        again = partial(run_system, recording, chosen, sensor=config.sensor, clock=config.clock, site=site)
+        track = again(tuned.params)
         score = evaluate(track, recording, config.alignment)
         entries.append({**_entry(path, recording, track, score), "part": part})
         if config.figures and len(entries) <= _MOST_PICTURES:
-            given_track = run_system(recording, chosen, params, sensor=config.sensor, clock=config.clock)
-            picture = plots.trajectory(track, recording, score, config.alignment, ("before", given_track))
+            picture = plots.trajectory(track, recording, score, config.alignment, ("before", again(params)))
             write_figure(out / f"{stem}_trajectory.png", picture)
-    before, after = _summary(tuned.before), _summary(tuned.after)
+    before, after = _summary(tuned.before, unit), _summary(tuned.after, unit)
+    mean = f"mean_{unit}"
     write_metrics(
         out, config, entries, loss=settings.loss, before=before, after=after, filter_runs=tuned.runs,
         tuned={n: {"from": float(parameters.get(params, n)), "to": v} for n, v in tuned.values.items()},
     )  # fmt: skip
-    write_table(out / "history.csv", _history(tuned.history))
+    write_table(out / "history.csv", _history(tuned.history, unit))
     if config.figures:
         write_figure(out / "tuning.png", plots.tuning_history(tuned))
     for name, value in tuned.values.items():
-        unit = parameters.specs(params)[name].unit
-        say(f"  {name}: {float(parameters.get(params, name)):.4g} to {value:.4g} {unit}")
+        own = parameters.specs(params)[name].unit
+        say(f"  {name}: {float(parameters.get(params, name)):.4g} to {value:.4g} {own}")
     for group in before:
         say(
             f"{group.replace('_', ' ')} ({before[group]['count']} recordings): mean {settings.loss} "
-            f"{_metres(before[group]['mean_m'])} before, {_metres(after[group]['mean_m'])} after"
+            f"{_in(before[group][mean], unit)} before, {_in(after[group][mean], unit)} after"
         )
     say(f"filter runs: {tuned.runs['gradients']} gradients, {tuned.runs['hard']} hard", f"results in {out}")
     return 0
 
 
-def _metres(value: float | None) -> str:
-    return "diverged" if value is None or not np.isfinite(value) else f"{value:.4f} m"
+def _in(value: float | None, unit: str) -> str:
+    return "diverged" if value is None or not np.isfinite(value) else f"{value:.4f} {unit}"
 
 
 def _tune_section(settings: Any) -> dict[str, Any]:
     return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(settings).items()}
 
 
-def _summary(report: dict[str, dict[str, float]]) -> dict[str, Any]:
+def _summary(report: dict[str, dict[str, float]], unit: str) -> dict[str, Any]:
     return {
         group: {
             "count": len(each),
-            "mean_m": float(np.mean(list(each.values()))),
-            "median_m": float(np.median(list(each.values()))),
-            "worst_m": float(np.max(list(each.values()))),
-            "each_m": each,
+            f"mean_{unit}": float(np.mean(list(each.values()))),
+            f"median_{unit}": float(np.median(list(each.values()))),
+            f"worst_{unit}": float(np.max(list(each.values()))),
+            f"each_{unit}": each,
         }
         for group, each in report.items()
     }
 
 
-def _history(history: list[dict[str, Any]]) -> dict[str, list[Any]]:
+def _history(history: list[dict[str, Any]], unit: str) -> dict[str, list[Any]]:
     rows: dict[str, list[Any]] = {}
     for row in history:
         for start, training in enumerate(row["training"]):
-            line = {"iteration": row["iteration"], "start": start, "training_m": training}
+            line = {"iteration": row["iteration"], "start": start, f"training_{unit}": training}
             if "validation" in row:
-                line["validation_m"] = row["validation"][start]
+                line[f"validation_{unit}"] = row["validation"][start]
             line |= {name: v[start] for name, v in row["values"].items()}
             for key, value in line.items():
                 rows.setdefault(key, []).append(value)
@@ -268,10 +278,7 @@ def _history(history: list[dict[str, Any]]) -> dict[str, list[Any]]:
 
 def show_parameters(args: argparse.Namespace) -> int:
     """The parameters of a system as a table."""
-    config = load(*args.config)
-    if args.system is not None:
-        config = replace(config, system=args.system)
-    _, params = resolve(override(config, args.set))
+    _, params = resolve(override(loaded(args), args.set))
     say(parameters.table(params))
     return 0
 

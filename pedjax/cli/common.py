@@ -10,19 +10,21 @@ from typing import Any
 
 from pedjax import __version__, parameters
 from pedjax.calibration import files as calibration_files
-from pedjax.config import Config, load, override, resolved
+from pedjax.config import Config, load, load_plugin, override, resolve, resolved
 from pedjax.errors import InputError
 from pedjax.filters.compass import calibrated_by
 from pedjax.output import write_json, write_toml
-from pedjax.systems import system as find_system
+from pedjax.systems import SYSTEMS
 
 
 def configured(args: argparse.Namespace) -> Config:
     """Defaults, then configs, then what the command line says."""
-    config = load(*args.config)
-    for name in ("system", "sensor", "clock", "alignment", "seed", "out"):
+    config = loaded(args)
+    for name in ("clock", "alignment", "seed", "out", "map"):
         if getattr(args, name, None) is not None:
             config = replace(config, **{name: getattr(args, name)})
+    if args.sensor:
+        config = replace(config, sensor=_sensors(args.sensor))
     if args.recordings:
         config = replace(config, recordings=tuple(args.recordings))
     if getattr(args, "held_back", None):
@@ -41,15 +43,37 @@ def configured(args: argparse.Namespace) -> Config:
     return config
 
 
+def loaded(args: argparse.Namespace) -> Config:
+    """The configs that are named, with the plugins and the system that the command line names."""
+    for plugin in args.plugins:
+        load_plugin(plugin)
+    config = load(*args.config)
+    config = replace(config, plugins=tuple(dict.fromkeys([*config.plugins, *args.plugins])))
+    return config if args.system is None else replace(config, system=args.system)
+
+
+def _sensors(given: Sequence[str]) -> str | dict[str, str]:
+    """`NAME`, or `ROLE=NAME` for each role."""
+    if len(given) == 1 and "=" not in given[0]:
+        return given[0]
+    pairs = [text.partition("=") for text in given]
+    for text, (role, equals, name) in zip(given, pairs, strict=True):
+        if not (role and equals and name):
+            raise InputError(f"--sensor {text}: with several, say which role each plays, as in waist={text}")
+    return {role: name for role, _, name in pairs}
+
+
 def _calibrated(config: Config, path: str) -> Config:
     """The config with a calibration file's numbers as parameters."""
     calibration = calibration_files.read(path)
-    if not find_system(config.system).magnetic:
+    chosen, params = resolve(config)
+    new = calibrated_by(params, calibration)
+    if not new:
+        magnetic = [s.name for s in SYSTEMS.values() if s.magnetic]
         raise InputError(
-            f"--calibration {path}: the system '{config.system}' does not use a magnetometer; choose another "
-            "--system (ma2018)"
+            f"--calibration {path}: the system '{chosen.name}' does not use a magnetometer; choose another "
+            f"--system ({', '.join(magnetic)})"
         )
-    new = {f"compass.{name}": value for name, value in calibrated_by(calibration).items()}
     return replace(config, parameters={**parameters.flatten(config.parameters), **new})
 
 

@@ -28,15 +28,26 @@ def _parser() -> argparse.ArgumentParser:
         metavar="RECORDING",
         help="a file, or SCENARIO:SEED (as demo:0) for a walk made by the package",
     )
-    recordings.add_argument("--sensor", help="which sensor of the recording (default: foot)")
     recordings.add_argument(
         "--format", metavar="TOML", help="description of a csv or npz file (docs/formats.md)"
     )
     recordings.add_argument("--out", metavar="DIR", help="folder for results (default: out)")
     recordings.add_argument("--no-figures", action="store_true", help="draw nothing")
 
+    single = argparse.ArgumentParser(add_help=False, parents=[recordings])
+    single.add_argument("--sensor", help="which sensor of the recording (default: foot, or the only one)")
+
     system = argparse.ArgumentParser(add_help=False)
     system.add_argument("--system", help="which estimator (default: iez)")
+    system.add_argument(
+        "--sensor", metavar="[ROLE=]NAME", action="append",
+        help="which sensor plays the system's first role, or the role named (default: the one of its name)",
+    )  # fmt: skip
+    system.add_argument(
+        "--with", metavar="FILE.py", action="append", default=[], dest="plugins",
+        help="a Python file that registers systems, detectors or losses of your own",
+    )  # fmt: skip
+    system.add_argument("--map", metavar="FILE", help="a map of the place, for systems that use one")
     system.add_argument(
         "--config", metavar="TOML", action="append", default=[],
         help="a config, or tuned parameters; a later one overrides an earlier one",
@@ -53,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     system.add_argument("--seed", type=int, help="seed of everything random (default: 0)")
 
     both = [recordings, system]
-    commands.add_parser("info", parents=[recordings], help="what a file holds, and what looks wrong with it")
+    commands.add_parser("info", parents=[single], help="what a file holds, and what looks wrong with it")
     commands.add_parser("run", parents=both, help="track and errors with given parameters")
     tune = commands.add_parser("tune", parents=both, help="better parameters by gradient")
     tune.add_argument(
@@ -96,8 +107,8 @@ def _parser() -> argparse.ArgumentParser:
         "--out", metavar="FILE", help="a csv or csv.gz file (default: SCENARIO-SEED.csv.gz)"
     )
     simulate.add_argument("--no-figures", action="store_true", help="draw nothing")
-    allan.add_parser(commands, recordings)
-    calibrate.add_parser(commands, recordings)
+    allan.add_parser(commands, single)
+    calibrate.add_parser(commands, single)
     commands.add_parser("parameters", parents=[system], help="list the parameters of a system")
     return parser
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pedjax import __version__, parameters
-from pedjax.cli.common import configured, say, write_metrics, write_parameters
-from pedjax.config import Config, load, resolve
+from pedjax.cli.common import configured, loaded, say, write_metrics, write_parameters
+from pedjax.config import Config, resolve
 from pedjax.detectors.field import FIELD_DETECTORS
 from pedjax.detectors.stance import DETECTORS
 from pedjax.errors import InputError, suggest
@@ -20,8 +20,9 @@ from pedjax.evaluation.roc import Reached, Roc, Wanted
 from pedjax.output import folder, write_figure, write_table
 from pedjax.recording import Recording, inertial
 from pedjax.sources import read_all, read_labelled
-from pedjax.systems import system as find_system
+from pedjax.systems import SYSTEMS
 from pedjax.tuning import fingerprint
+from pedjax.walks import sensor_names
 
 KINDS: dict[str, tuple[str, ...]] = {"stance": tuple(DETECTORS), "field": tuple(FIELD_DETECTORS)}
 DRAWN = ("all", "straight", "curved")
@@ -72,8 +73,8 @@ class _Judged(NamedTuple):
 def roc(args: argparse.Namespace) -> int:
     """Curves with bands, areas with intervals, and each detector at the wanted point as a config."""
     kind, names = _kind(args)
-    if kind == "field" and args.system is None and not find_system(load(*args.config).system).magnetic:
-        args.system = "ma2018"
+    if kind == "field" and args.system is None and not resolve(loaded(args))[0].magnetic:
+        args.system = next(each.name for each in SYSTEMS.values() if "field" in each.gates)
     config = configured(args)
     wanted = _wanted(args)
     out = folder(config.out)
@@ -139,9 +140,10 @@ def _wanted(args: argparse.Namespace) -> Wanted:
 def _stance(args: argparse.Namespace, config: Config, names: list[str]) -> _Judged:
     from pedjax import stance_roc
 
-    _, params = resolve(config)
+    chosen, params = resolve(config)
+    sensor = next(iter(sensor_names(chosen.needs, config.sensor).values()))
     recordings = read_all(config.recordings, args.format)
-    samples = [inertial(r, config.sensor, config.clock) for r in recordings]
+    samples = [inertial(r, sensor, config.clock) for r in recordings]
     labels = [
         stance_roc.still_labels(r, i, args.still_below) for r, i in zip(recordings, samples, strict=True)
     ]
@@ -169,12 +171,13 @@ def _field(args: argparse.Namespace, config: Config, names: list[str]) -> _Judge
 
     system, params = resolve(config)
     if not system.magnetic:
-        raise InputError(f"the system '{system.name}' does not look at the field; use --system ma2018")
+        raise InputError(f"the system '{system.name}' does not look at the field; use one that does (--system)")
+    sensor = next(iter(sensor_names(system.needs, config.sensor).values()))
     recordings, walks = [], []
     for path in config.recordings:  # the whole truth of one walk at a time: it is large
-        recording, truth = read_labelled(path, args.format, config.sensor)
+        recording, truth = read_labelled(path, args.format, sensor)
         recordings.append(recording)
-        walks.append(field_roc.field_walk(recording, truth, params, sensor=config.sensor, clock=config.clock))
+        walks.append(field_roc.field_walk(recording, truth, params, sensor=sensor, clock=config.clock))
     given = field_roc.labelled(params, names, walks, args.same_field, args.same_heading)
     label = np.concatenate(given.label)
     entries = [

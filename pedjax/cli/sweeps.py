@@ -15,8 +15,9 @@ from tqdm import tqdm
 
 from pedjax import __version__, parameters
 from pedjax.cli.common import configured, say, write_parameters
-from pedjax.config import Config, load, resolve, resolved, sweep_design
+from pedjax.config import Config, load, resolve, resolved, site_of, sweep_design
 from pedjax.errors import InputError
+from pedjax.evaluation.scores import score_kind
 from pedjax.output import folder, write_figure, write_json, write_table, write_toml
 from pedjax.plots import sweeps as figures
 from pedjax.sources import read_all
@@ -41,7 +42,7 @@ def sweep(args: argparse.Namespace) -> int:
     recordings = read_all(config.recordings, args.format)
     work = _job(config, recordings, settings.loss)
     rounds = Rounds(settings.refine, settings.shrink, settings.count, settings.design, config.seed)
-    about = {"sensor": config.sensor, "clock": config.clock or "as read", "seed": config.seed}
+    about = {"clock": config.clock or "as read", "seed": config.seed}
     manifest = manifest_of(work, recordings, design, rounds, about)
     if jax.process_index() > 0:
         team = assemble()  # waits until the first process has made the store
@@ -79,8 +80,9 @@ def _job(config: Config, recordings: list[Any], loss: str) -> Job:
     chosen, params = resolve(config)
     alignment = "yaw_translation" if config.alignment == "auto" else config.alignment
     return job(
-        recordings, chosen, params, loss=loss, alignment=alignment, sensor=config.sensor, clock=config.clock
-    )
+        recordings, chosen, params, loss=loss, alignment=alignment, sensor=config.sensor, clock=config.clock,
+        site=site_of(config),
+    )  # fmt: skip
 
 
 class _Progress:
@@ -137,7 +139,7 @@ def _report(
     first = keep.read_design(store, 0)
     if first is None:
         raise InputError(f"{store.path}: the design is missing; run the sweep again")
-    score = getattr(args, "score", None) or f"{store.manifest['loss']}_m"
+    score = getattr(args, "score", None) or score_kind(store.manifest["loss"]).column
     found = analyse(columns, first.axes, store.manifest["settings"], score=score, second=args.against)
     out = folder(place / "report")
     for name, table in report_tables(found).items():

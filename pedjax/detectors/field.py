@@ -23,9 +23,9 @@ import numpy as np
 from jax import Array
 
 from pedjax import rotations
-from pedjax.gates import log_positive
+from pedjax.gates import SoftGate, log_positive
 from pedjax.lanes import add, cholesky, constant, dot, eye, forward_substitution, matmul_t
-from pedjax.parameters import group, leaf, parameters, setting
+from pedjax.parameters import group, leaf, offer, parameters, setting
 
 _MA = "Ma 2018"
 _KIT = "kit choice"
@@ -87,7 +87,7 @@ def _size(y: list[Array], absolute: bool) -> list[Array]:
 class Qsf:
     """QSF of Afzal, Renaudin and Lachapelle 2011: the rate of change of the field's strength alone."""
 
-    threshold: Array = leaf(3.9, unit="1", low=1e-4, high=1e6, source=_FINDS)
+    threshold: Array = leaf(3.9, unit="1", low=1e-4, high=1e6, source=_FINDS, tune=True, point=True)
     sigma_strength: Array = leaf(0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs")
     form: str = setting("mean", choices=("mean", "energy"), source="Afzal 2011")
     per: str = setting("step", choices=("step", "second"), source=_KIT)
@@ -97,7 +97,7 @@ class Qsf:
 class Qmd(Qsf):
     """The classical quasi-static magnetic field detector (Zhang, Eq. 8-12): energy of the same rate."""
 
-    threshold: Array = leaf(6.2, unit="1", low=1e-4, high=1e6, source=_FINDS)
+    threshold: Array = leaf(6.2, unit="1", low=1e-4, high=1e6, source=_FINDS, tune=True, point=True)
     form: str = setting("energy", choices=("mean", "energy"), source="Zhang")
 
 
@@ -105,8 +105,8 @@ class Qmd(Qsf):
 class Magyq:
     """Variance form: variance of the strength in the window, and the last one's distance from its mean."""
 
-    variance: Array = leaf(6.0, unit="uT^2", low=1e-4, high=1e4, source=_MAGYQ)
-    outlier: Array = leaf(8.0, unit="uT", low=1e-3, high=1e3, source=_MAGYQ)
+    variance: Array = leaf(6.0, unit="uT^2", low=1e-4, high=1e4, source=_MAGYQ, tune=True, point=True)
+    outlier: Array = leaf(8.0, unit="uT", low=1e-3, high=1e3, source=_MAGYQ, point=True)
 
 
 @parameters
@@ -114,7 +114,7 @@ class Iqsf:
     """iQSF (Ma 2016), rebuilt from the description in Ma 2018: changes of strength, of magnetic heading and
     of gyroscope heading, so that only a straight path can pass. Its own parameters are not public."""
 
-    threshold: Array = leaf(16.1, unit="1", low=1e-3, high=1e7, source=_FINDS)
+    threshold: Array = leaf(16.1, unit="1", low=1e-3, high=1e7, source=_FINDS, tune=True, point=True)
     sigma_heading: Array = leaf(0.067, unit="rad", low=1e-5, high=3.0, source=f"{_KIT}: as Ma 2018")
     sigma_strength: Array = leaf(0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs")
     absolute: bool = setting(True, source=_KIT)
@@ -125,7 +125,9 @@ class Iqsf:
 class Ma:
     """Ma 2018: changes of heading difference, inclination and strength (Eq. 26)."""
 
-    threshold: Array = leaf(15.7, unit="1", low=1e-3, high=1e7, source=f"{_FINDS}; published 170")
+    threshold: Array = leaf(
+        15.7, unit="1", low=1e-3, high=1e7, source=f"{_FINDS}; published 170", tune=True, point=True
+    )
     sigma_heading: Array = leaf(0.067, unit="rad", low=1e-5, high=3.0, source=_MA)
     sigma_inclination: Array = leaf(0.054, unit="rad", low=1e-5, high=3.0, source=_MA)
     sigma_strength: Array = leaf(0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs")
@@ -146,8 +148,10 @@ class Vector:
     that no field with such a change passes more often).
     """
 
-    false_alarm: Array = leaf(0.1, unit="1", low=1e-6, high=0.999, source=_KIT)
-    change: Array = leaf(3.0, unit="uT", low=1e-3, high=100.0, source=f"{_KIT}: what quasi-static means")
+    false_alarm: Array = leaf(0.1, unit="1", low=1e-6, high=0.999, source=_KIT, tune=True, point=True)
+    change: Array = leaf(
+        3.0, unit="uT", low=1e-3, high=100.0, source=f"{_KIT}: what quasi-static means", tune=True, point=True
+    )
     sigma_field: Array = leaf(0.1, unit="uT", low=1e-4, high=100.0, source=f"{_KIT}: of one look")
     sigma_tilt: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two")
     sigma_yaw: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two")
@@ -242,20 +246,25 @@ FIELD_DETECTORS: dict[str, Callable[[Any, Window, Array], Array]] = {
 """`(parameters, window, north) -> log of statistic over threshold (*L)`."""
 
 
+def register_field_detector(name: str, log_ratio: Callable[[Any, Window, Array], Array], own: type) -> None:
+    """Make a field detector of your own known by its name, with the class of its parameters, its operating
+    points as leaves made with `point`."""
+    FIELD_DETECTORS[name] = log_ratio
+    offer(FieldParameters, name, own)
+
+
 @parameters
-class FieldParameters:
+class FieldParameters(SoftGate):
     """Which detector is on, its window in steps (or samples), and the numbers of all of them."""
 
     detector: str = setting("ma", choices=tuple(FIELD_DETECTORS), source=_MA)
     window: int = setting(3, choices=tuple(range(1, 31)), source=f"{_MA}: N = 3 steps")
-    width: Array = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: the published hard test")
-    straight_through: bool = setting(False, source=_KIT)
-    qsf: Qsf = group(Qsf)
-    qmd: Qmd = group(Qmd)
-    magyq: Magyq = group(Magyq)
-    iqsf: Iqsf = group(Iqsf)
-    ma: Ma = group(Ma)
-    vector: Vector = group(Vector)
+    qsf: Qsf = group(Qsf, when={"detector": "qsf"})
+    qmd: Qmd = group(Qmd, when={"detector": "qmd"})
+    magyq: Magyq = group(Magyq, when={"detector": "magyq"})
+    iqsf: Iqsf = group(Iqsf, when={"detector": "iqsf"})
+    ma: Ma = group(Ma, when={"detector": "ma"})
+    vector: Vector = group(Vector, when={"detector": "vector"})
 
 
 def log_ratio(p: FieldParameters, window: Window, north: Array) -> Array:

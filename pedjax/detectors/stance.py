@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 from pedjax.detectors import evidence as measure
 from pedjax.errors import InputError
 from pedjax.gates import log_positive
-from pedjax.parameters import group, leaf, parameters, setting
+from pedjax.parameters import group, leaf, offer, parameters, setting
 from pedjax.windows import is_complete
 
 _PYSHOE = "PyShoe, published scripts"
@@ -30,7 +30,9 @@ _MISSING = 1e10  # a window that is not there: never still, and its square finit
 class Shoe:
     """SHOE, the generalised likelihood ratio test of Skog et al. 2010."""
 
-    threshold: Array = leaf(8.5e7, unit="1", low=1e3, high=1e12, source=f"{_PYSHOE} (mixed gait)")
+    threshold: Array = leaf(
+        8.5e7, unit="1", low=1e3, high=1e12, source=f"{_PYSHOE} (mixed gait)", tune=True, point=True
+    )
     sigma_accelerometer: Array = leaf(0.00098, unit="m/s^2", low=1e-5, high=10.0, source=_PYSHOE)
     sigma_gyroscope: Array = leaf(8.7266463e-5, unit="rad/s", low=1e-7, high=1.0, source=_PYSHOE)
     window_s: float = setting(0.025, source="PyShoe: W = 5 at 200 Hz")
@@ -40,7 +42,9 @@ class Shoe:
 class Ared:
     """ARED, angular rate energy."""
 
-    threshold: Array = leaf(0.55, unit="rad^2/s^2", low=1e-5, high=1e3, source=f"{_PYSHOE} (mixed gait)")
+    threshold: Array = leaf(
+        0.55, unit="rad^2/s^2", low=1e-5, high=1e3, source=f"{_PYSHOE} (mixed gait)", tune=True, point=True
+    )
     window_s: float = setting(0.025, source="PyShoe: W = 5 at 200 Hz")
 
 
@@ -48,7 +52,7 @@ class Ared:
 class Amvd:
     """AMVD, moving variance of the specific force."""
 
-    threshold: Array = leaf(0.3, unit="m^2/s^4", low=1e-5, high=1e4, source=_KIT)
+    threshold: Array = leaf(0.3, unit="m^2/s^4", low=1e-5, high=1e4, source=_KIT, tune=True, point=True)
     window_s: float = setting(0.025, source="PyShoe: W = 5 at 200 Hz")
 
 
@@ -56,7 +60,7 @@ class Amvd:
 class Mag:
     """MAG, magnitude of the specific force against gravity."""
 
-    threshold: Array = leaf(1.0, unit="1", low=1e-5, high=1e12, source=_KIT)
+    threshold: Array = leaf(1.0, unit="1", low=1e-5, high=1e12, source=_KIT, tune=True, point=True)
     sigma_accelerometer: Array = leaf(0.5, unit="m/s^2", low=1e-5, high=10.0, source=_KIT)
     window_s: float = setting(0.025, source="PyShoe: W = 5 at 200 Hz")
 
@@ -65,7 +69,7 @@ class Mag:
 class Mbgtd:
     """MBGTD, memory-based graph-theoretic detector."""
 
-    threshold: Array = leaf(0.3, unit="m/s^2", low=1e-4, high=1e3, source=_KIT)
+    threshold: Array = leaf(0.3, unit="m/s^2", low=1e-4, high=1e3, source=_KIT, tune=True, point=True)
     window_s: float = setting(0.025, source="kit choice: W = 5 at 200 Hz (PyShoe tunes with 2)")
 
 
@@ -74,11 +78,11 @@ class Eps:
     """EPS, variances of energy, product and sum (Sejong 2020, Eq. 1-9). Thresholds are not published:
     the defaults are ten times the 95th percentile of a foot's stance on public recordings at 100-250 Hz."""
 
-    energy: Array = leaf(40.0, unit="m^4/s^8", low=1e-4, high=1e8, source=_KIT)
-    product: Array = leaf(10.0, unit="m^4/s^8", low=1e-4, high=1e8, source=_KIT)
-    total: Array = leaf(0.5, unit="m^2/s^4", low=1e-5, high=1e6, source=_KIT)
-    rate_variance: Array = leaf(0.05, unit="rad^4/s^4", low=1e-8, high=1e6, source=_KIT)
-    rate_energy: Array = leaf(0.55, unit="rad^2/s^2", low=1e-5, high=1e4, source=_KIT)
+    energy: Array = leaf(40.0, unit="m^4/s^8", low=1e-4, high=1e8, source=_KIT, tune=True, point=True)
+    product: Array = leaf(10.0, unit="m^4/s^8", low=1e-4, high=1e8, source=_KIT, point=True)
+    total: Array = leaf(0.5, unit="m^2/s^4", low=1e-5, high=1e6, source=_KIT, point=True)
+    rate_variance: Array = leaf(0.05, unit="rad^4/s^4", low=1e-8, high=1e6, source=_KIT, point=True)
+    rate_energy: Array = leaf(0.55, unit="rad^2/s^2", low=1e-5, high=1e4, source=_KIT, tune=True, point=True)
     window_s: float = setting(0.15, source="Sejong 2020: 15 samples at 100 Hz")
 
 
@@ -120,6 +124,14 @@ DETECTORS: dict[str, Detector] = {
     "eps": Detector(measure.eps_variances, _eps, lambda p: 1.0),
 }
 
+
+def register_stance_detector(name: str, detector: Detector, own: type) -> None:
+    """Make a stance detector of your own known by its name, with the class of its parameters: a `window_s`
+    setting, and its operating points as leaves made with `point`."""
+    DETECTORS[name] = detector
+    offer(StanceParameters, name, own)
+
+
 RULES = ("causal", "any", "all", "block")
 
 
@@ -134,22 +146,26 @@ class StanceParameters:
 
     detector: str = setting("shoe", choices=tuple(DETECTORS), source=_PYSHOE)
     rule: str = setting("causal", choices=RULES, source=_KIT)
-    shoe: Shoe = group(Shoe)
-    ared: Ared = group(Ared)
-    amvd: Amvd = group(Amvd)
-    mag: Mag = group(Mag)
-    mbgtd: Mbgtd = group(Mbgtd)
-    eps: Eps = group(Eps)
+    shoe: Shoe = group(Shoe, when={"detector": "shoe"})
+    ared: Ared = group(Ared, when={"detector": "ared"})
+    amvd: Amvd = group(Amvd, when={"detector": "amvd"})
+    mag: Mag = group(Mag, when={"detector": "mag"})
+    mbgtd: Mbgtd = group(Mbgtd, when={"detector": "mbgtd"})
+    eps: Eps = group(Eps, when={"detector": "eps"})
 
     def chosen(self) -> tuple[Detector, Any]:
         """The detector that is on, and its parameters."""
         return DETECTORS[self.detector], getattr(self, self.detector)
 
 
+def window_s(p: StanceParameters) -> float:
+    """The window of the chosen detector in s."""
+    return float(p.chosen()[1].window_s)
+
+
 def window_samples(p: StanceParameters, rate: float) -> int:
     """The window of the chosen detector in samples at a rate in Hz (at least 2)."""
-    _, own = p.chosen()
-    return max(round(own.window_s * rate), 2)
+    return max(round(window_s(p) * rate), 2)
 
 
 def evidence(

@@ -20,11 +20,14 @@ rotation about that point. `yaw_translation`: best rotation and shift of all poi
 
 class Reference(NamedTuple):
     """Where the walker truly was: `position (K, 3, *L)` m, 0 where unknown; `horizontal (K, *L)` and
-    `vertical (K, *L)` are 1 where x and y, or z, are known, else 0 (also for padding)."""
+    `vertical (K, *L)` are 1 where x and y, or z, are known, else 0 (also for padding). Where headings are
+    scored, `attitude (K, 3, 3, *L)` body to navigation, and `oriented (K, *L)`, 1 where it is known."""
 
     position: Array
     horizontal: Array
     vertical: Array
+    attitude: Array | None = None
+    oriented: Array | None = None
 
 
 class Errors(NamedTuple):
@@ -36,7 +39,7 @@ class Errors(NamedTuple):
     max_2d: Array
     final_2d: Array
     rms_3d: Array
-    pyshoe_armse: Array
+    armse: Array
 
 
 def _safe_sqrt(x: Array) -> Array:
@@ -103,5 +106,5 @@ def landmark_errors(estimate: Array, reference: Reference, alignment: str = "yaw
         max_2d=jnp.max(jnp.where(h > 0, distance, 0.0), axis=0),
         final_2d=jnp.sum(jnp.where(last, distance, 0.0), axis=0),
         rms_3d=jnp.where(jnp.sum(both, axis=0) > 0, cube, jnp.nan),
-        pyshoe_armse=_mean(distance, h) / jnp.sqrt(2.0),
+        armse=_mean(distance, h) / jnp.sqrt(2.0),
     )

@@ -6,7 +6,7 @@ and keeps the last N + 1 looks. Everything is causal, and a state of fixed size.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +18,7 @@ from pedjax.detectors.field import Look, Window, inclination
 from pedjax.filters.measurements import yaw_row
 from pedjax.filters.strapdown import Navigation
 from pedjax.lanes import constant, dot, matvec
-from pedjax.parameters import leaf, parameters, setting
+from pedjax.parameters import groups_of, leaf, parameters, setting
 
 _KIT = "kit choice"
 _MA = "Ma 2018"
@@ -61,17 +61,21 @@ def in_body(p: Body, mag: Array) -> Array:
     return jnp.stack([a * x + b * y + c * z for a, b, c in rows])
 
 
-def calibrated_by(calibration: Calibration) -> dict[str, float]:
-    """A calibration as parameters: paths under `compass.` to values."""
+def calibrated_by(params: Any, calibration: Calibration) -> dict[str, float]:
+    """A calibration as parameters: paths to values, for every group of a tree that is one; empty where none
+    is."""
     hard, matrix = np.asarray(calibration.hard_iron, float), np.asarray(calibration.matrix, float)
     offset, level = np.asarray(calibration.level_offset, float), np.asarray(calibration.level_matrix, float)
     axes = "xyz"
-    found = {f"body.hard_{a}": float(hard[i]) for i, a in enumerate(axes)}
-    found |= {f"body.{a}{b}": float(matrix[i, j]) for i, a in enumerate(axes) for j, b in enumerate(axes)}
-    found |= {"level.offset_x": float(offset[0]), "level.offset_y": float(offset[1])}
-    return found | {
-        f"level.{a}{b}": float(level[i, j])
-        for i, j, a, b in ((0, 0, "x", "x"), (0, 1, "x", "y"), (1, 1, "y", "y"))
+    body = {f"hard_{a}": float(hard[i]) for i, a in enumerate(axes)}
+    body |= {f"{a}{b}": float(matrix[i, j]) for i, a in enumerate(axes) for j, b in enumerate(axes)}
+    flat = {"offset_x": float(offset[0]), "offset_y": float(offset[1])}
+    flat |= {"xx": float(level[0, 0]), "xy": float(level[0, 1]), "yy": float(level[1, 1])}
+    return {
+        f"{path}.{name}": value
+        for kind, values in ((Body, body), (Level, flat))
+        for path in groups_of(params, kind)
+        for name, value in values.items()
     }
 
 
@@ -163,10 +167,14 @@ class HeadingNoise:
     floor, and what an odd field adds: where strength or inclination are not the reference's, neither is the
     direction. Ma prints no heading noise."""
 
-    floor: Array = leaf(2 * _DEGREE, unit="rad", low=1e-4, high=3.2, source=_KIT)
-    field: Array = leaf(0.3, unit="uT", low=1e-4, high=100.0, source=_KIT)
-    tilt: Array = leaf(0.5 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=_KIT)
-    oddity: Array = leaf(0.0, unit="1", low=0.0, high=100.0, scale="linear", source="0: published")
+    floor: Array = leaf(
+        2 * _DEGREE, unit="rad", low=1e-4, high=3.2, source=_KIT, tune=True, when={"update": "heading"}
+    )
+    field: Array = leaf(0.3, unit="uT", low=1e-4, high=100.0, source=_KIT, tune=True)
+    tilt: Array = leaf(0.5 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=_KIT, when={"update": "heading"})
+    oddity: Array = leaf(
+        0.0, unit="1", low=0.0, high=100.0, scale="linear", source="0: published", when={"update": "heading"}
+    )
 
 
 def heading_sigma(p: HeadingNoise, field: Array, reference: Array) -> Array:

@@ -24,7 +24,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from pedjax import rotations
-from pedjax.gates import gate, log_positive
+from pedjax.gates import SoftGate, gate, log_positive
 from pedjax.lanes import (
     add,
     align,
@@ -39,7 +39,7 @@ from pedjax.lanes import (
     symmetric,
     transpose,
 )
-from pedjax.parameters import leaf, parameters, setting
+from pedjax.parameters import leaf, parameters
 
 _KIT = "kit choice"
 _REST = "BROAD 02 and 21: density of the readings at rest"
@@ -47,7 +47,7 @@ _MOVED = "BROAD 02 and 21: field along the optical truth, 0.4 at 1.5 rad/s and 1
 
 
 @parameters
-class TrackerParameters:
+class TrackerParameters(SoftGate):
     """Noise of the readings, wandering of field and offset, and the gate.
 
     The field wanders by `still` and, with the rate ω of turning, by `turning` ω: who turns it also moves it,
@@ -59,15 +59,15 @@ class TrackerParameters:
     """
 
     noise: Array = leaf(0.085, unit="uT/sqrt(Hz)", low=1e-4, high=10.0, source=_REST)
-    still: Array = leaf(0.1, unit="uT/sqrt(s)", low=1e-4, high=100.0, source=_KIT)
-    turning: Array = leaf(0.3, unit="uT sqrt(s)/rad", low=1e-4, high=10.0, source=_MOVED)
-    offset: Array = leaf(0.02, unit="uT/sqrt(s)", low=1e-5, high=10.0, source=_KIT)
+    still: Array = leaf(0.1, unit="uT/sqrt(s)", low=1e-4, high=100.0, source=_KIT, tune=True)
+    turning: Array = leaf(0.3, unit="uT sqrt(s)/rad", low=1e-4, high=10.0, source=_MOVED, tune=True)
+    offset: Array = leaf(0.02, unit="uT/sqrt(s)", low=1e-5, high=10.0, source=_KIT, tune=True)
     bias: Array = leaf(1e-5, unit="rad/s^2/sqrt(Hz)", low=1e-9, high=0.1, source=_KIT)
     window: Array = leaf(0.1, unit="s", low=0.01, high=10.0, source=_KIT)
-    threshold: Array = leaf(30.0, unit="1", low=1.0, high=1e4, source="kit choice: 1e-6 by chance")
-    width: Array = leaf(0.0, unit="1", low=0.0, high=5.0, scale="linear", source="0: a hard test")
-    straight_through: bool = setting(False, source="tuning: hard value, soft slope")
-    jump: Array = leaf(50.0, unit="uT/sqrt(s)", low=1e-3, high=1e4, source="kit choice: a field")
+    threshold: Array = leaf(
+        30.0, unit="1", low=1.0, high=1e4, source="kit choice: 1e-6 by chance", tune=True, point=True
+    )
+    jump: Array = leaf(50.0, unit="uT/sqrt(s)", low=1e-3, high=1e4, source="kit choice: a field", tune=True)
     initial_field: Array = leaf(50.0, unit="uT", low=0.1, high=1e3, source="kit choice: a field")
     initial_offset: Array = leaf(0.7, unit="uT", low=0.01, high=1e3, source="kit choice: calibrated before")
     initial_bias: Array = leaf(0.005, unit="rad/s", low=1e-7, high=1.0, source="kit choice: 0.3 deg/s")

@@ -2,6 +2,6 @@
 
 from pedjax.plots.recordings import raw_signals
 from pedjax.plots.results import roc_curves, tuning_history
-from pedjax.plots.tracks import stance_over_signals, trajectory
+from pedjax.plots.tracks import gate_over_signals, trajectory
 
-__all__ = ["raw_signals", "roc_curves", "stance_over_signals", "trajectory", "tuning_history"]
+__all__ = ["gate_over_signals", "raw_signals", "roc_curves", "trajectory", "tuning_history"]

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from pedjax.packing import points_of
 from pedjax.recording import Clock, Recording, inertial
 from pedjax.running import Track
 from pedjax.scoring import Score, aligned
+from pedjax.walks import points_of
 
 Other = tuple[str, Track]
 
@@ -33,7 +33,7 @@ def trajectory(
     plan.plot(path[:, 0], path[:, 1], color="C0", lw=1.2, label=track.system if other is None else "after")
     plan.plot(*path[0, :2], "o", color="C2", ms=7, label="start")
     plan.plot(*path[-1, :2], "s", color="C3", ms=6, label="end")
-    index, position = points_of(recording, track.time, None)
+    index, position = points_of(recording, track.time, None, track.sensor)
     if len(index):
         if recording.landmarks is None:
             plan.plot(position[:, 0], position[:, 1], color="k", lw=0.9, ls="--", label="truth")
@@ -61,16 +61,17 @@ def trajectory(
     return figure
 
 
-def stance_over_signals(
+def gate_over_signals(
     track: Track,
     recording: Recording,
-    sensor: str = "foot",
+    gate: str = "stance",
     clock: Clock | None = None,
     seconds: float = 12.0,
 ) -> Figure:
-    """Norms of force and rate, the stance statistic over its threshold, and stance shaded: the whole walk
-    of the statistic, and a stretch of the rest that can be read."""
-    imu = inertial(recording, sensor, clock)
+    """Norms of force and rate, a gate's statistic over its threshold, and shaded where it is open: the whole
+    walk of the statistic, and a stretch of the rest that can be read."""
+    imu, shown = inertial(recording, track.sensor, clock), track.gate(gate)
+    decades = np.clip(shown.log_ratio / np.log(10), -4, 4)
     time = track.time
     middle = 0.5 * (time[0] + time[-1])
     begin = max(time[0], middle - seconds / 2)
@@ -80,11 +81,11 @@ def stance_over_signals(
         begin = time[0]
     figure = Figure(figsize=(10, 7.5), layout="constrained")
     force, rate, ratio, whole = figure.subplots(4, 1)
-    still = track.stance > 0.5
+    still = shown.open
     for ax, signal, label in (
         (force, np.linalg.norm(imu.specific_force, axis=1), "force (m/s²)"),
         (rate, np.linalg.norm(imu.angular_rate, axis=1), "rate (rad/s)"),
-        (ratio, np.clip(track.log_ratio / np.log(10), -4, 4), "log₁₀ statistic\n/ threshold"),
+        (ratio, decades, "log₁₀ statistic\n/ threshold"),
     ):
         ax.plot(time[near], signal[near], lw=0.9, color="C0")
         ax.fill_between(
@@ -101,12 +102,12 @@ def stance_over_signals(
         ax.set_xlim(time[near][0], time[near][-1])
         ax.grid(alpha=0.3)
     ratio.axhline(0, color="k", lw=0.8)
-    ratio.set_xlabel("time (s), stance green")
-    whole.plot(time, np.clip(track.log_ratio / np.log(10), -4, 4), lw=0.5, color="C0")
+    ratio.set_xlabel(f"time (s), {gate} green")
+    whole.plot(time, decades, lw=0.5, color="C0")
     whole.axhline(0, color="k", lw=0.8)
     whole.axvspan(begin, begin + seconds, color="C1", alpha=0.2, lw=0)
     whole.set_xlabel("time (s), the whole walk; the stretch above is shaded")
     whole.set_ylabel("log₁₀ ratio")
     whole.grid(alpha=0.3)
-    figure.suptitle(f"{track.name}: {100 * still.mean():.0f} % stance")
+    figure.suptitle(f"{track.name}: {100 * still.mean():.0f} % {gate}")
     return figure

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pedjax.errors import InputError, suggest
-from pedjax.packing import bucket
+from pedjax.shapes import bucket
 from pedjax.simulation.gait import Sway, Swings, Walker
 
 _FAR = 1e6  # s, a time that no walk reaches

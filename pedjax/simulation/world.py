@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pedjax.packing import bucket
 from pedjax.recording import Landmarks, Recording, Sensor, Stream, Truth
 from pedjax.runtime import double_precision
+from pedjax.shapes import bucket
 from pedjax.simulation import earth, fields, sensors
 from pedjax.simulation.fields import Field
 from pedjax.simulation.footsteps import GAITS, Leg, Plan, footsteps

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from pedjax import parameters
-from pedjax.packing import Walk
+from pedjax.evaluation.scores import score_kind
 from pedjax.recording import Recording
 from pedjax.sweeping import store as keep
 from pedjax.sweeping.designs import Design, lay_out
@@ -20,6 +20,7 @@ from pedjax.sweeping.engine import Engine, Job, check_design, parts_of, slice_of
 from pedjax.sweeping.store import Store
 from pedjax.sweeping.team import Team, disband, shared_out, wait_for
 from pedjax.tuning.split import fingerprint
+from pedjax.walks import Walk
 
 Progress = Callable[[int, int], None]
 """Called with the runs that are done and their number."""
@@ -55,6 +56,8 @@ def manifest_of(
         "loss": job.problem.loss,
         "alignment": job.problem.alignment,
         "precision": np.dtype(job.dtype).name,
+        "sensors": dict(job.sensors),
+        "site": _site(job.site),
         "recordings": recordings_of(job, recordings),
         "axes": [axis._asdict() for axis in design.axes],
         "settings": {path: sorted(set(column), key=str) for path, column in design.settings.items()},
@@ -78,9 +81,20 @@ def recordings_of(job: Job, recordings: Sequence[Recording]) -> list[dict[str, s
 def _scored(walk: Walk) -> str:
     """A short hash of what a fingerprint leaves out: time, and the points a run is scored at."""
     digest = hashlib.sha256()
-    for values in (walk.imu.time, walk.index, walk.position):
+    attitude = np.zeros(0) if walk.attitude is None else walk.attitude
+    for values in (walk.imu.time, walk.index, walk.position, attitude):
         digest.update(np.ascontiguousarray(values).tobytes())
     return digest.hexdigest()[:16]
+
+
+def _site(site: Any) -> str:
+    """A short hash of the data beside the samples; empty where there is none."""
+    leaves = jax.tree.leaves(site)
+    digest = hashlib.sha256()
+    for leaf in leaves:
+        values = np.ascontiguousarray(leaf)
+        digest.update(f"{values.dtype}{values.shape}".encode() + values.tobytes())
+    return digest.hexdigest()[:16] if leaves else ""
 
 
 def run_campaign(
@@ -168,7 +182,7 @@ def _rows(
 def _closer(job: Job, store: Store, first: Design, rounds: Rounds, number: int) -> Design:
     """The next round's sets, around the best so far and with its settings."""
     _, columns = keep.read_store(store.path)
-    score = columns[f"{job.problem.loss}_m"].astype(float)
+    score = columns[score_kind(job.problem.loss).column].astype(float)
     runs = columns["run"]
     mean = np.bincount(runs, np.where(np.isfinite(score), score, np.inf)) / len(job.names)
     row = int(np.flatnonzero(runs == int(np.argmin(mean)))[0])

@@ -15,25 +15,17 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from pedjax import parameters
-from pedjax.ensemble import LOSSES, Problem, scores, walks_for
+from pedjax.ensemble import Problem, scores, walks_for
 from pedjax.errors import InputError, suggest
 from pedjax.evaluation.landmarks import ALIGNMENTS
-from pedjax.packing import Batch, Walk, chunk_of, columns_of, distinct, pack, padded, sizes_of
+from pedjax.evaluation.scores import score_kind, told_with
+from pedjax.packing import Batch, alike, chunk_of, pack, sizes_of
 from pedjax.recording import Clock, Recording
-from pedjax.running import check_walk
 from pedjax.runtime import lane_count
+from pedjax.shapes import columns_of, padded
 from pedjax.sweeping.designs import Design, with_settings
 from pedjax.systems import system as find_system
-
-SCORES = {
-    "armse_m": "pyshoe_armse",
-    "rms_2d_m": "rms_2d",
-    "mean_2d_m": "mean_2d",
-    "max_2d_m": "max_2d",
-    "final_2d_m": "final_2d",
-    "rms_3d_m": "rms_3d",
-}
-"""Columns of a sweep's table, and what they are among the errors."""
+from pedjax.walks import Sensors, Walk, check_walk, distinct, sensor_names
 
 _SAMPLES_AT_ONCE = 8_000_000
 """Samples of recordings on a device at a time (half a GiB): more are swept in parts, one after the other."""
@@ -44,22 +36,27 @@ _STEPS_IN_A_PART = 50_000_000
 
 @dataclass(frozen=True)
 class Sweep:
-    """`values` of each path and `settings` `(N,)`; `scores[column] (N, R)` in m of each set on each
-    recording `names`, NaN where it diverged; `healthy` and `stance (N, R)`; `loss` names what `mean` and
-    `best` go by."""
+    """`values` of each path and `settings` `(N,)`; `scores[column] (N, R)` of each set on each recording
+    `names`, NaN where it was not healthy; its `status` (0: healthy), and the mean weight of each of the
+    `gates` by name, `(N, R)`; `chosen` names the score that `loss`, `mean` and `best` go by."""
 
     names: tuple[str, ...]
     values: dict[str, np.ndarray]
     settings: dict[str, list[Any]]
     scores: dict[str, np.ndarray]
-    healthy: np.ndarray
-    stance: np.ndarray
+    status: np.ndarray
+    gates: dict[str, np.ndarray]
     chosen: str
 
     @property
+    def healthy(self) -> np.ndarray:
+        """`(N, R)` bool."""
+        return self.status == 0
+
+    @property
     def loss(self) -> np.ndarray:
-        """The chosen loss `(N, R)` in m, inf where a run diverged."""
-        found = self.scores[f"{self.chosen}_m"]
+        """The chosen loss `(N, R)`, inf where a run was not healthy."""
+        found = self.scores[score_kind(self.chosen).column]
         return np.where(np.isfinite(found), found, np.inf)
 
     @property
@@ -82,6 +79,8 @@ class Job:
     params: Any
     walks: tuple[Walk, ...]
     dtype: Any
+    sensors: Mapping[str, str]
+    site: Any = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -91,7 +90,7 @@ class Job:
     @property
     def samples(self) -> int:
         """Samples of all recordings: filter steps of one parameter set."""
-        return sum(len(w.imu.time) for w in self.walks)
+        return sum(map(len, self.walks))
 
     @property
     def part(self) -> int:
@@ -108,29 +107,35 @@ def job(
     *,
     loss: str = "armse",
     alignment: str = "yaw_translation",
-    sensor: str = "foot",
+    sensor: Sensors = None,
     clock: Clock | None = None,
+    site: Any = None,
 ) -> Job:
     """Check everything and make recordings ready, before anything compiles."""
     chosen = find_system(system)
     params = chosen.defaults() if params is None else params
-    for what, word, known in (("loss", loss, tuple(LOSSES)), ("alignment", alignment, ALIGNMENTS)):
-        if word not in known:
-            raise InputError(f"{what} '{word}' is unknown{suggest(word, known)}")
+    score_kind(loss)
+    if alignment not in ALIGNMENTS:
+        raise InputError(f"alignment '{alignment}' is unknown{suggest(alignment, ALIGNMENTS)}")
     walks = walks_for(chosen, params, recordings, sensor, clock, loss)
-    return Job(Problem(chosen, loss, alignment), params, tuple(walks), jnp.result_type(float))
+    names = sensor_names(chosen.needs, sensor)
+    return Job(Problem(chosen, loss, alignment), params, tuple(walks), jnp.result_type(float), names, site)
 
 
 def check_design(job: Job, design: Design) -> None:
-    """Refuse paths that are no numbers, and settings that a recording is too short for, before anything
-    compiles."""
+    """Refuse paths that are no numbers or have no effect, and settings that a recording is too short for,
+    before anything compiles."""
     known = parameters.specs(job.params)
     for path in design.values:
         if path not in known:
             parameters.get(job.params, path)
             raise InputError(f"'{path}' is a setting, not a number that can be swept; give it in settings")
-    for settings, _, _ in design.groups():
-        params = parameters.replace(job.params, settings)
+    chosen = [parameters.replace(job.params, settings) for settings, _, _ in design.groups()]
+    for path in design.values:
+        reasons = [parameters.idle_because(params, path) for params in chosen]
+        if all(reasons):
+            raise InputError(f"'{path}' has no effect: {reasons[0]}")
+    for params in chosen:
         for walk in job.walks:
             check_walk(job.problem.system, params, walk)
 
@@ -156,10 +161,13 @@ class Engine:
         self.devices = list(devices or jax.local_devices())
         self.sets, self.columns = _shape_of_block(job, capacity)
         self.blocks = -(-capacity // (self.sets * len(self.devices)))
+        self.shares = _shares(job.walks)
+        self.order = [r for share in self.shares for r in share]
         self._packed: dict[tuple[Any, ...], list[tuple[Any, list[Batch]]]] = {}
 
     def run(self, settings: Mapping[str, Any], values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Columns `SCORES`, `healthy` and `stance_fraction`, each `(n, R)`; scores NaN where unhealthy."""
+        """Columns of the scores, `healthy`, `status`, and `GATE_fraction` of each gate, each `(n, R)`;
+        scores NaN where unhealthy."""
         packed = self._ready(settings)
         count = len(next(iter(values.values())))
         shares = np.array_split(np.arange(-(-count // self.sets)), len(self.devices))
@@ -187,7 +195,7 @@ class Engine:
         found = {}
         for name in pieces[0][0]:
             whole = np.concatenate([np.concatenate([p[name] for p in piece], axis=-1) for piece in pieces])
-            found[name] = whole.reshape(-1, whole.shape[-1])[:count]
+            found[name] = whole.reshape(-1, whole.shape[-1])[:count][:, np.argsort(self.order)]
         return found
 
     def _ready(self, settings: Mapping[str, Any]) -> list[tuple[Any, list[Batch]]]:
@@ -198,8 +206,15 @@ class Engine:
             with jax.enable_x64(self.job.dtype == jnp.float64):
                 params = parameters.cast(parameters.replace(self.job.params, settings), self.job.dtype)
                 batches = [
-                    pack(self.job.problem.system, params, walks, self.job.dtype, most_columns=self.columns)
-                    for walks in _shares(self.job.walks)
+                    pack(
+                        self.job.problem.system,
+                        params,
+                        [self.job.walks[r] for r in share],
+                        self.job.dtype,
+                        most_columns=self.columns,
+                        site=self.job.site,
+                    )
+                    for share in self.shares
                 ]
                 self._packed[key] = [jax.device_put((params, batches), d) for d in self.devices]
         return self._packed[key]
@@ -214,10 +229,11 @@ def _blocks(
     def columns(block: dict[str, Array]) -> dict[str, Array]:
         found = scores(problem, params, block, batch)
         table = {
-            name: jnp.where(found.healthy, getattr(found.errors, error), jnp.nan)
-            for name, error in SCORES.items()
+            kind.column: jnp.where(found.status == 0, found.errors[kind.name], jnp.nan)
+            for kind in told_with(problem.loss)
         }
-        return {**table, "healthy": found.healthy, "stance_fraction": found.stance}
+        gates = {f"{name}_fraction": weight for name, weight in found.gates.items()}
+        return {**table, "healthy": found.status == 0, "status": found.status, **gates}
 
     def one(i: Array, whole: dict[str, Array]) -> dict[str, Array]:
         found = columns(jax.tree.map(lambda x: x[i], values))
@@ -244,16 +260,18 @@ def _shape_of_block(job: Job, count: int) -> tuple[int, int]:
     return best
 
 
-def _shares(walks: Sequence[Walk]) -> list[list[Walk]]:
-    """Recordings in order, in parts that fit into memory at once."""
-    shares: list[list[Walk]] = [[]]
-    filled = 0
-    for w in walks:
-        if shares[-1] and filled + len(w.imu.time) > _SAMPLES_AT_ONCE:
-            shares.append([])
-            filled = 0
-        shares[-1].append(w)
-        filled += len(w.imu.time)
+def _shares(walks: Sequence[Walk]) -> list[list[int]]:
+    """Numbers of recordings of one sampling rate, in parts that fit into memory at once."""
+    shares: list[list[int]] = []
+    for group in alike(walks):
+        shares.append([])
+        filled = 0
+        for r in group:
+            if shares[-1] and filled + len(walks[r]) > _SAMPLES_AT_ONCE:
+                shares.append([])
+                filled = 0
+            shares[-1].append(r)
+            filled += len(walks[r])
     return shares
 
 
@@ -266,8 +284,9 @@ def sweep(
     settings: Mapping[str, Sequence[Any]] | None = None,
     loss: str = "armse",
     alignment: str = "yaw_translation",
-    sensor: str = "foot",
+    sensor: Sensors = None,
     clock: Clock | None = None,
+    site: Any = None,
     devices: Sequence[jax.Device] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Sweep:
@@ -279,7 +298,9 @@ def sweep(
     counts = {len(v) for v in values.values()}
     if len(counts) != 1 or counts == {0}:
         raise InputError(f"every swept parameter needs equally many values, not {sorted(counts)}")
-    work = job(recordings, system, params, loss=loss, alignment=alignment, sensor=sensor, clock=clock)
+    work = job(
+        recordings, system, params, loss=loss, alignment=alignment, sensor=sensor, clock=clock, site=site
+    )
     design = with_settings((), values, settings or {})
     check_design(work, design)
     parts = parts_of(design, work.part)
@@ -294,9 +315,9 @@ def sweep(
         names=work.names,
         values=design.values,
         settings=design.settings,
-        scores={name: whole[name] for name in SCORES},
-        healthy=whole["healthy"],
-        stance=whole["stance_fraction"],
+        scores={kind.column: whole[kind.column] for kind in told_with(loss)},
+        status=whole["status"],
+        gates={name: whole[f"{name}_fraction"] for name in work.problem.system.gates},
         chosen=loss,
     )
 

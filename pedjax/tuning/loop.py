@@ -13,18 +13,20 @@ import numpy as np
 import optax
 
 from pedjax import parameters
-from pedjax.ensemble import LOSSES, Problem, losses, walks_for
+from pedjax.ensemble import Problem, losses, walks_for
 from pedjax.errors import InputError
 from pedjax.evaluation.landmarks import ALIGNMENTS
-from pedjax.packing import Batch, Walk, distinct, pack
+from pedjax.evaluation.scores import score_kind
+from pedjax.gates import SoftGate
+from pedjax.packing import Batches, pack_all
 from pedjax.parameters import Spec
 from pedjax.recording import Clock, Recording
 from pedjax.runtime import double_precision
 from pedjax.system import System
 from pedjax.systems import system as find_system
-from pedjax.systems.iez import ADAPTIVE
 from pedjax.tuning import objective
 from pedjax.tuning.split import fingerprint, refuse_overlap
+from pedjax.walks import Sensors, Walk, distinct
 
 Progress = Callable[[int, int, float], None]
 """Called with the iteration, their number, and the best loss so far."""
@@ -34,13 +36,14 @@ Progress = Callable[[int, int, float], None]
 class TuneSettings:
     """How to tune. Defaults suit a dozen walks and up to a dozen parameters.
 
-    `names` dotted paths of leaves; `loss` one of armse, rms_2d, mean_2d, rms_3d, averaged over recordings;
+    `names` dotted paths of leaves; `loss` a score (`evaluation.scores`: armse, rms_2d, mean_2d, max_2d,
+    final_2d, rms_3d, heading_rms, or one of your own), averaged over recordings;
     `starts` the first at the given parameters, the others scattered by `spread` around it in free units
-    (about e-folds); `grid` thresholds tried on the hard gate before and half-way for each start where a
-    threshold is among the names (0: none); `width` of the soft gate; `patience` checks without a better
-    loss before stopping; `validation` part of the tuned-on recordings that gives no gradients: stop and
-    winner are chosen by the hard-gate mean over those and the others together; `mode` of differentiation,
-    reverse or forward.
+    (about e-folds); `grid` values tried on the hard gate before and half-way for each start, of each
+    operating point of a detector that is among the names (0: none); `width` of the soft gate; `patience`
+    checks without a better loss before stopping; `validation` part of the tuned-on recordings that gives no
+    gradients: stop and winner are chosen by the hard-gate mean over those and the others together; `mode`
+    of differentiation, reverse or forward.
     """
 
     names: tuple[str, ...]
@@ -88,8 +91,9 @@ def tune(
     params: Any = None,
     *,
     held_back: Sequence[Recording] = (),
-    sensor: str = "foot",
+    sensor: Sensors = None,
     clock: Clock | None = None,
+    site: Any = None,
     progress: Progress | None = None,
 ) -> Tuned:
     """Tune the named parameters on recordings, report hard-gate errors on them and on held-back ones.
@@ -107,13 +111,14 @@ def tune(
     problem = Problem(chosen, settings.loss, settings.alignment)
     with double_precision():
         hard = parameters.cast(gated(params, 0.0), float)
-        everything = pack(chosen, hard, walks)
-        search = _Search(problem, settings, specs, hard, walks, training, validation)
+        pack = partial(pack_all, chosen, hard, site=site)
+        everything = pack(walks)
+        search = _Search(problem, settings, specs, hard, walks, training, validation, pack)
         best = search.run(progress)
         tuned = parameters.with_leaves(params, best)
         parts = {"tuned_on": (distinct([w.name for w in walks]), everything)}
         if others:
-            parts["held_back"] = (distinct([w.name for w in others]), pack(chosen, hard, others))
+            parts["held_back"] = (distinct([w.name for w in others]), pack(others))
         report = partial(_report, problem, settings.names, parts)
         return Tuned(
             params=tuned,
@@ -128,10 +133,8 @@ def tune(
 
 
 def gate_widths(params: Any) -> list[str]:
-    """Paths of the widths of all soft gates: those with a `straight_through` beside them."""
-    settings = parameters.choices(params)
-    paths = (path.removesuffix("straight_through") for path in settings if path.endswith("straight_through"))
-    return [f"{path}width" for path in paths]
+    """Paths of the widths of all soft gates."""
+    return [f"{path}.width" for path in parameters.groups_of(params, SoftGate)]
 
 
 def gated(params: Any, width: float, straight_through: bool | None = None) -> Any:
@@ -151,7 +154,7 @@ _LIMITS = (
 
 
 def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
-    known, options = parameters.specs(params), parameters.choices(params)
+    known = parameters.specs(params)
     if not settings.names:
         raise InputError("no parameter to tune was named; give dotted paths such as stance.shoe.threshold")
     for name in settings.names:
@@ -160,16 +163,9 @@ def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
             raise InputError(f"'{name}' is a setting, not a number that can be tuned")
         if name in gate_widths(params):
             raise InputError(f"{name} cannot be tuned: errors are judged on the hard gate; set tune.width")
-        kind, group, *_ = [*name.split("."), ""]
-        detector = options.get(f"{kind}.detector")
-        if detector is not None and group in detector.choices:
-            chosen = parameters.get(params, f"{kind}.detector")
-            if group != chosen:
-                raise InputError(f"'{name}' has no effect: {kind}.detector is '{chosen}'")
-        if name in ADAPTIVE and params.gate.kind != "adaptive":
-            raise InputError(f"'{name}' has no effect: gate.kind is '{params.gate.kind}', not 'adaptive'")
-    if settings.loss not in LOSSES:
-        raise InputError(f"loss '{settings.loss}' is unknown; known are: {', '.join(LOSSES)}")
+        if idle := parameters.idle_because(params, name):
+            raise InputError(f"'{name}' has no effect: {idle}")
+    score_kind(settings.loss)
     if settings.alignment not in ALIGNMENTS:
         raise InputError(f"alignment '{settings.alignment}' is unknown; known are: {', '.join(ALIGNMENTS)}")
     if settings.mode not in ("reverse", "forward"):
@@ -202,16 +198,17 @@ class _Search:
         walks: Sequence[Walk],
         training: Sequence[int],
         validation: Sequence[int],
+        pack: Callable[[Sequence[Walk]], Batches],
     ) -> None:
         self.problem, self.settings, self.specs, self.params = problem, settings, specs, params
         self.soft = parameters.cast(gated(params, settings.width, settings.straight_through), float)
-        self.batch = pack(problem.system, params, [walks[i] for i in training])
-        self.check = pack(problem.system, params, [walks[i] for i in validation]) if validation else None
+        self.batch = pack([walks[i] for i in training])
+        self.check = pack([walks[i] for i in validation]) if validation else None
         self.share = len(training) / len(walks)
         self.history: list[dict[str, Any]] = []
         self.runs = {"gradients": 0, "hard": 0}
 
-    def hard_loss(self, values: Mapping[str, Any], batch: Batch) -> np.ndarray:
+    def hard_loss(self, values: Mapping[str, Any], batch: Batches) -> np.ndarray:
         """Hard-gate mean loss `(S,)` of parameter sets."""
         sets = {k: jnp.asarray(v, float) for k, v in values.items()}
         each = losses(self.problem, self.params, sets, batch)
@@ -232,8 +229,8 @@ class _Search:
         return {name: np.asarray(self.specs[name].from_free(x)) for name, x in free.items()}
 
     def grid(self, free: dict[str, np.ndarray], width: float) -> dict[str, np.ndarray]:
-        """For each start, the best of a grid of thresholds around it, on the hard gate."""
-        names = [n for n in self.specs if n.endswith("threshold")]
+        """For each start, the best of a grid of operating points around it, on the hard gate."""
+        names = [name for name, spec in self.specs.items() if spec.point]
         for name in names if self.settings.grid > 1 else []:
             offsets = np.linspace(-width, width, self.settings.grid)
             tried = {n: np.repeat(x[:, None], len(offsets), axis=1) for n, x in free.items()}
@@ -311,7 +308,7 @@ def _clip_each(limit: float) -> optax.GradientTransformation:
 
 
 def _report(
-    problem: Problem, names: tuple[str, ...], parts: Mapping[str, tuple[list[str], Batch]], params: Any
+    problem: Problem, names: tuple[str, ...], parts: Mapping[str, tuple[list[str], Batches]], params: Any
 ) -> dict[str, dict[str, float]]:
     """Hard-gate loss of every recording."""
     hard = parameters.cast(gated(params, 0.0), float)

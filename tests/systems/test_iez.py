@@ -57,7 +57,7 @@ def shoe_ratio(walk, params):
 
 @pytest.mark.parametrize("method", ATTITUDE_UPDATES)
 def test_hard_gate_equals_the_textbook_filter(minute, minute_recording, method):
-    params = tools.iez(updates__attitude_update=method, initial__heading=0.4, **tools.shoe_sigmas())
+    params = tools.iez(strapdown__attitude_update=method, initial__heading=0.4, **tools.shoe_sigmas())
     track = pedjax.run(minute_recording, params=params)
     assert track.healthy
     assert 0.2 < track.stance.mean() < 0.6

@@ -1,0 +1,32 @@
+"""Aids by name: what can be put on a filter. `aid` says what one is, `assembly` how they go together."""
+
+from __future__ import annotations
+
+from pedjax.aids.aid import Aid, Measured, Seen
+from pedjax.aids.assembly import aided
+from pedjax.aids.magnetic_heading import FIELD_RATE, MAGNETIC_HEADING
+from pedjax.aids.zero_velocity import ZERO_ANGULAR_RATE, ZERO_VELOCITY
+from pedjax.errors import InputError, suggest
+
+AIDS: dict[str, Aid] = {
+    each.name: each for each in (ZERO_VELOCITY, ZERO_ANGULAR_RATE, MAGNETIC_HEADING, FIELD_RATE)
+}
+
+
+def register_aid(aid: Aid) -> Aid:
+    """Make an aid of your own known by its name, for configs that list aids."""
+    AIDS[aid.name] = aid
+    return aid
+
+
+def find_aid(name: str) -> Aid:
+    """The aid of that name; an unknown one is an `InputError` with a suggestion."""
+    if name not in AIDS:
+        raise InputError(f"aid '{name}' is unknown{suggest(name, AIDS)}")
+    return AIDS[name]
+
+
+__all__ = [
+    "AIDS", "FIELD_RATE", "MAGNETIC_HEADING", "ZERO_ANGULAR_RATE", "ZERO_VELOCITY", "Aid", "Measured", "Seen",
+    "aided", "find_aid", "register_aid",
+]  # fmt: skip

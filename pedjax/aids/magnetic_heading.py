@@ -1,0 +1,257 @@
+"""Magnetic heading: where the field is quasi-static, its horizontal direction tells the yaw (Ma 2018).
+
+Once in each stance a look at the field, a detector over the last looks, and a row on the attitude. Beyond the
+paper: heading noise from field, tilt and oddity; tails heavier than a Gaussian's, by which a heading far
+from the expected one counts less and none is locked out for ever; updates that ask of the field only that it
+is what it was (Afzal 2011), anchored at the window's start or from look to look; and hard iron that changes
+while walking, tracked from turning and taken off the readings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from pedjax import rotations
+from pedjax.aids.aid import Aid, Measured, Seen
+from pedjax.detectors import field as detectors
+from pedjax.filters import compass, covariance, hard_iron, measurements
+from pedjax.filters.compass import Body, HeadingNoise, Level, Looking, Looks
+from pedjax.filters.covariance import Covariance
+from pedjax.filters.filter import Opening, still_mean
+from pedjax.filters.hard_iron import TrackerParameters
+from pedjax.gates import gate
+from pedjax.lanes import align, constant, lane_shape, matmul
+from pedjax.parameters import group, leaf, parameters, setting
+from pedjax.system import Gated, Signals
+
+_KIT = "kit choice"
+_QUARTER_TURN = 1.5707963267948966
+
+
+@parameters
+class Tracker(TrackerParameters):
+    """The tracker of hard iron; `lag_s`, by which the magnetometer is behind the gyroscope, is a fixed choice
+    here, since every parameter set shares the signals.
+
+    A rate that is sampled, not averaged over its interval, makes half an interval of it, less the delay of
+    the gyroscope's own filter. The defaults are for a field that hardly changes along the path; preset
+    `ma2018_tracked` is for buildings.
+    """
+
+    lag_s: float = setting(0.0, source="0: none")
+
+
+@parameters
+class Compass:
+    """What is made of the field."""
+
+    update: str = setting(
+        "heading", choices=("heading", "anchored", "differential", "none"), source="Ma 2018; Afzal 2011"
+    )
+    row: str = setting("full", choices=("full", "simple"), source="Ma 2018; simple: [0, 0, 1]")
+    start: str = setting("field", choices=("field", "given"), source=f"{_KIT}: yaw from the first field")
+    hard_iron: str = setting("fixed", choices=("fixed", "tracked"), source="fixed: published")
+    reference: str = setting("running", choices=("running", "given"), source=_KIT)
+    gyroscope_rows: bool = setting(False, source="Afzal 2011: option")
+    declination: Array = leaf(0.0, unit="rad", low=-3.2, high=3.2, scale="linear", source="0: magnetic north")
+    start_sigma: Array = leaf(
+        0.01, unit="rad", low=1e-4, high=3.2, source=_KIT, tune=True, when={"start": "field"}
+    )
+    tail: Array = leaf(
+        1e6,
+        unit="1",
+        low=0.1,
+        high=1e9,
+        source="1e6, a Gaussian: published",
+        tune=True,
+        when={"update": ("heading", "anchored", "differential")},
+    )
+    strength: Array = leaf(
+        48.0, unit="uT", low=10.0, high=100.0, source=f"{_KIT}: mid-latitudes", when={"reference": "given"}
+    )
+    inclination: Array = leaf(
+        1.1, unit="rad", low=-1.6, high=1.6, scale="linear", source=_KIT, when={"reference": "given"}
+    )
+    looking: Looking = group(Looking)
+    body: Body = group(Body)
+    level: Level = group(Level)
+    noise: HeadingNoise = group(HeadingNoise)
+    tracker: Tracker = group(Tracker, when={"hard_iron": "tracked"})
+
+
+class State(NamedTuple):
+    """The looks at the field; whether it was `quasi`-static at the last one; the `anchor (3, *L)` that it is
+    compared with; the `reference (2, *L)` strength and inclination; the field `before` `(3, *L)` in body
+    axes; and the `tracker` of hard iron, if there is one."""
+
+    looks: Looks
+    quasi: Array
+    anchor: Array
+    reference: Array
+    before: Array
+    tracker: hard_iron.State | tuple[()]
+
+
+def north_of(p: Compass) -> Array:
+    """The azimuth of the undisturbed horizontal field, counter-clockwise from east."""
+    return _QUARTER_TURN - p.declination
+
+
+def looking_of(p: Compass) -> Looking:
+    """When it looks, and what levels: the attitude where the field tells of the tilt, too."""
+    tilted = p.update in ("anchored", "differential")
+    return replace(p.looking, levelling="attitude") if tilted else p.looking
+
+
+def _prepare(p: Any, signals: Signals, dt: Array, rate_hz: float, length: ArrayLike | None) -> Any:
+    """The rate `(T, 3)` when the field was so, if that was not now."""
+    q = p.compass
+    if q.hard_iron == "tracked" and q.tracker.lag_s > 0:
+        return hard_iron.delayed(signals.rate, dt, q.tracker.lag_s)
+    return ()
+
+
+def _start(p: Any, site: Any, opening: Opening, nav: Any, P: Covariance) -> tuple[State, Any, Covariance]:
+    """With `compass.start` = "field" the first yaw is the compass's."""
+    assert opening.field is not None
+    mean_force, mean_field = still_mean(opening, opening.force), still_mean(opening, opening.field)
+    like = jnp.zeros(lane_shape(p, mean_force[0]), mean_force.dtype)
+    force = align(mean_force, 1, like.ndim) + 0 * like
+    mag = compass.in_body(p.compass.body, align(mean_field, 1, like.ndim) + 0 * like)
+    seen = compass.levelled(nav, force, mag, p.compass.level, "force")
+    if p.compass.start == "field":
+        yaw = rotations.wrap(north_of(p.compass) - detectors.azimuth(seen))
+        turn = rotations.from_euler(0 * yaw, 0 * yaw, yaw)
+        nav = nav._replace(attitude=matmul(turn, nav.attitude))
+        sigma = p.compass.start_sigma
+        P = P | {"tt": P["tt"].at[2, 2].set(sigma * sigma + 0 * like)}
+    if p.compass.reference == "running":
+        reference = jnp.stack([detectors.strength(seen), detectors.inclination(seen)])
+    else:
+        reference = jnp.stack([p.compass.strength + like, p.compass.inclination + like])
+    looks = compass.first(like, p.field.window)
+    tracker = hard_iron.start(p.compass.tracker, mag) if p.compass.hard_iron == "tracked" else ()
+    return State(looks, like, jnp.zeros_like(mag), reference, mag, tracker), nav, P
+
+
+def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
+    """A look, and a row as far as the field is quasi-static."""
+    nav, P, stance = from_.estimate, from_.P, from_.gates["stance"].weight
+    lanes = stance.ndim
+    dt, force, rate, field = from_.sample
+    assert field is not None
+    mag = compass.in_body(p.compass.body, field)
+    q, north = p.compass, north_of(p.compass)
+    tracker = state.tracker
+    if isinstance(tracker, hard_iron.State):
+        late = rate if isinstance(from_.own, tuple) else align(from_.own, 1, lanes)
+        tracker = hard_iron.step(q.tracker, tracker, late, mag, dt)
+        mag = mag - tracker.offset
+
+    specific = force - nav.accelerometer_bias
+    looks, now = compass.look(looking_of(q), q.level, state.looks, nav, specific, mag, dt, stance)
+    seen = looks.window[-1]
+    ratio = detectors.log_ratio(p.field, looks.window, north)
+    whole = jnp.where(looks.many > p.field.window, 1.0, 0.0)
+    quasi = whole * gate(ratio, p.field.width, p.field.straight_through)
+    begins = (now > 0) & (quasi > 0.5) & (state.quasi <= 0.5)
+    anchor = jnp.where(begins, looks.window[0].field, state.anchor)
+    sigma, sigma_field = compass.heading_sigma(q.noise, seen.field, state.reference), q.noise.field
+    if isinstance(tracker, hard_iron.State):
+        sigma = jnp.sqrt(sigma * sigma + compass.offset_variance(nav.attitude, seen.field, tracker.bb))
+        every = tracker.bb[0, 0] + tracker.bb[1, 1] + tracker.bb[2, 2]
+        twice = 2 * every  # half a turn on, an offset counts twice
+        sigma_field = jnp.sqrt(sigma_field * sigma_field + twice)
+    innovation = rotations.wrap(north - detectors.azimuth(seen.field))
+    rows, weight = None, 0.0 * now
+    if q.update != "none":
+        if q.update == "heading":
+            rows = measurements.heading(innovation, _heading_row(q, nav, seen.field), sigma)
+        else:
+            against = anchor if q.update == "anchored" else looks.window[-2].field
+            rows = measurements.same_field(seen.field, against, sigma_field)
+        far = covariance.normalised_innovation(P, rows)
+        weight = now * quasi * (q.tail + rows.innovation.shape[0]) / (q.tail + far)
+        weight = jnp.minimum(weight, 1.0)
+        if q.update == "anchored":  # only while the anchor is of this quasi-static stretch
+            weight = jnp.where(begins | (state.quasi > 0.5), weight, 0.0)
+    quasi = jnp.where(now > 0, quasi, state.quasi)
+    reference = state.reference
+    if q.reference == "running":
+        share = now / jnp.minimum(looks.many + 1.0, 50.0)
+        found = jnp.stack([detectors.strength(seen.field), detectors.inclination(seen.field)])
+        reference = reference + share * (found - reference)
+    more = {
+        "look": now,
+        "magnetic_field": seen.field,
+        "heading_innovation": innovation,
+        "heading_sigma": sigma,
+        "quasi_static": quasi,
+        "body_field": mag + 0 * state.before,
+        "body_field_before": state.before,
+    }
+    if isinstance(tracker, hard_iron.State):
+        more |= {"hard_iron": tracker.offset, "hard_iron_sigma": hard_iron.sigma(tracker)}
+    state = State(looks, quasi, anchor, reference, more["body_field"], tracker)
+    gated = Gated(weight, jnp.where(whole > 0, ratio, 10.0))
+    return Measured(state, rows, weight, gated, more)
+
+
+def _heading_row(q: Compass, nav: Any, field: Array) -> Array:
+    """What the heading says of the attitude error, `(1, 3, *L)`."""
+    if q.row == "simple":
+        return (constant(np.array([0.0, 0.0, 1.0]), field[0]) + 0 * field)[None]
+    if q.looking.levelling == "force":
+        return measurements.yaw_row(nav.attitude)
+    return measurements.azimuth_row(field)
+
+
+_TURNED_BY = ("magnetic_heading", "field_rate")  # whose corrections turn the looks: not zero velocity's
+
+
+def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any) -> State:
+    if by not in _TURNED_BY:
+        return state
+    how = looking_of(p.compass).levelling
+    return state._replace(looks=compass.turned(state.looks, correction["t"], nav.attitude, how))
+
+
+MAGNETIC_HEADING = Aid(
+    name="magnetic_heading",
+    groups=(("field", detectors.FieldParameters), ("compass", Compass)),
+    gate="field",
+    reads=("stance",),
+    field=True,
+    prepare=_prepare,
+    start=_start,
+    step=_step,
+    after=_after,
+    opening_s=lambda p: p.initial.levelling_s,
+)
+"""A look at the field in each stance, and the heading (or the field itself) as a row."""
+
+
+def _rate_step(p: Any, site: Any, state: Any, seen: Seen) -> Measured:
+    dt, rate, said = seen.sample.dt, seen.sample.rate, seen.more
+    noises = (p.compass.noise.field, p.process.gyroscope / jnp.sqrt(jnp.maximum(dt, 1e-6)))
+    before, now = said["body_field_before"], said["body_field"]
+    rows = measurements.field_rate(seen.estimate, rate, before, now, dt, noises)
+    return Measured(state, rows, said["quasi_static"] * seen.gates["stance"].weight * (dt > 0))
+
+
+FIELD_RATE = Aid(
+    name="field_rate",
+    groups=(("compass", Compass),),
+    reads=("stance", "field"),
+    field=True,
+    is_on=lambda p: p.compass.gyroscope_rows,
+    step=_rate_step,
+)
+"""While the field is quasi-static it turns as the body does, which tells the gyroscope's bias (Afzal
+2011)."""

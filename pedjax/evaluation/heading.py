@@ -1,0 +1,40 @@
+"""Heading errors: by how much an attitude is turned about up from the true one, the best constant taken
+off."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jax import Array
+
+from pedjax import rotations
+from pedjax.evaluation.landmarks import Reference
+from pedjax.lanes import align, matmul_t
+
+
+def turn_about_up(attitude: Array, true: Array) -> Array:
+    """The angle in rad about up of Ĉ Cᵀ for attitudes `(3, 3, *L)`: the error of the heading however the body
+    is held, also where Euler's angles are not defined."""
+    turn = matmul_t(attitude, true)
+    return jnp.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+
+
+def heading_rms(attitude: Array, reference: Reference) -> Array:
+    """RMS in degrees `(*L)` of the heading errors of attitudes `(K, 3, 3, *L)`, after the best constant.
+
+    The error is followed from point to point, so that it may grow beyond half a turn. NaN where no point
+    has a true attitude.
+    """
+    assert reference.attitude is not None
+    assert reference.oriented is not None
+    lanes = attitude.ndim - 3
+    true, known = align(reference.attitude, 3, lanes), align(reference.oriented, 1, lanes)
+    error = turn_about_up(jnp.moveaxis(attitude, 0, 2), jnp.moveaxis(true, 0, 2))
+    known = known * jnp.ones_like(error)
+    steps = rotations.wrap(jnp.diff(error, axis=0, prepend=error[:1])) * known
+    followed = jnp.cumsum(steps, axis=0)
+    count = jnp.maximum(jnp.sum(known, axis=0), 1.0)
+    away = (followed - jnp.sum(followed * known, axis=0) / count) * known
+    square = jnp.sum(away * away, axis=0) / count
+    there = square > 0
+    rms = jnp.where(there, jnp.sqrt(jnp.where(there, square, 1.0)), 0.0 * square)
+    return jnp.degrees(jnp.where(jnp.sum(known, axis=0) > 0, rms, jnp.nan))

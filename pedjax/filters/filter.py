@@ -1,0 +1,64 @@
+"""What a filter is: an estimate with its covariance, started, predicted and corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from pedjax.filters.covariance import Covariance
+from pedjax.lanes import align
+
+
+class Sample(NamedTuple):
+    """One sample of a sensor: `dt` s, `force (3, *L)` m/s^2, `rate (3, *L)` rad/s, and `field (3, *L)` µT in
+    body axes or None."""
+
+    dt: Array
+    force: Array
+    rate: Array
+    field: Array | None = None
+
+    def in_lanes(self, lanes: int) -> Sample:
+        """With unit axes for that many lane axes."""
+        field = None if self.field is None else align(self.field, 1, lanes)
+        return Sample(
+            align(self.dt, 0, lanes), align(self.force, 1, lanes), align(self.rate, 1, lanes), field
+        )
+
+
+class Opening(NamedTuple):
+    """The first samples, time first: `dt (n, *L)`, `force`, `rate`, `field (n, 3, *L)` as in `Sample`, and
+    `still (n, *L)`, 1 for the samples that level the start. Rows with dt = 0 are padding."""
+
+    dt: Array
+    force: Array
+    rate: Array
+    field: Array | None
+    still: Array
+
+
+def still_mean(opening: Opening, values: Array) -> Array:
+    """Mean `(3, *L)` of values `(n, 3, *L)` over the samples that level the start."""
+    counts = (opening.still > 0)[:, None]
+    return jnp.sum(jnp.where(counts, values, 0.0), axis=0) / jnp.sum(opening.still, axis=0)
+
+
+class Filter(NamedTuple):
+    """An estimator of motion, on which aids build.
+
+    `parameters` is the class of its parameters, to which aids add groups. `opening_s(p)` is how much of the
+    walk `start(p, opening) -> estimate, P` levels by, `predict(p, estimate, P, sample)` moves both on by a
+    sample, `correct(estimate, correction)` adds a correction by state, and `states` names the field of the
+    estimate and the letter of the covariance that belong together.
+    """
+
+    name: str
+    parameters: type
+    opening_s: Callable[[Any], float]
+    start: Callable[[Any, Opening], tuple[Any, Covariance]]
+    predict: Callable[[Any, Any, Covariance, Sample], tuple[Any, Covariance]]
+    correct: Callable[[Any, dict[str, Array]], Any]
+    states: tuple[tuple[str, str], ...]

@@ -1,0 +1,154 @@
+"""The inertial filter: strapdown navigation with the 15-state error covariance, and no measurement by itself.
+
+Published defaults are OpenShoe's and PyShoe's (both use the same). PyShoe has no bias states; OpenShoe's
+start as wide as an uncalibrated unit's, which costs a tenth of the accuracy on calibrated ones, so the
+initial bias errors here are a calibrated unit's. Each parameter names its source.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jax import Array
+
+from pedjax import rotations
+from pedjax.filters import covariance, measurements, strapdown
+from pedjax.filters.covariance import Covariance, ProcessNoise
+from pedjax.filters.filter import Filter, Opening, Sample, still_mean
+from pedjax.filters.strapdown import Navigation
+from pedjax.lanes import align, lane_shape
+from pedjax.parameters import group, leaf, parameters, setting
+
+_OPENSHOE = "OpenShoe"
+_KIT = "kit choice"
+_SHEET = "kit choice: initial bias error of a calibrated unit (OpenShoe, uncalibrated: 0.3 m/s^2, 0.3 deg/s)"
+_DEGREE = 0.017453292519943295
+_PER_ROOT_HZ = 200.0**-0.5  # OpenShoe's per-sample deviations, at the 200 Hz of PyShoe's published runs
+
+
+@parameters
+class Process:
+    """Process noise as densities, and the correlation times of the biases."""
+
+    accelerometer: Array = leaf(
+        0.5 * _PER_ROOT_HZ,
+        unit="m/s^2/sqrt(Hz)",
+        low=1e-5,
+        high=10.0,
+        source=f"{_OPENSHOE}: 0.5 a sample",
+        tune=True,
+    )
+    gyroscope: Array = leaf(
+        0.5 * _DEGREE * _PER_ROOT_HZ, unit="rad/s/sqrt(Hz)", low=1e-7, high=0.1,
+        source=f"{_OPENSHOE}: 0.5 deg/s a sample", tune=True)  # fmt: skip
+    accelerometer_bias: Array = leaf(
+        1e-7 / _PER_ROOT_HZ, unit="m/s^3/sqrt(Hz)", low=1e-9, high=1.0, source=f"{_OPENSHOE}: 1e-7 a sample"
+    )
+    gyroscope_bias: Array = leaf(
+        1e-7 / _PER_ROOT_HZ * _DEGREE, unit="rad/s^2/sqrt(Hz)", low=1e-10, high=0.1,
+        source=f"{_OPENSHOE}: 1e-7 deg/s a sample",
+    )  # fmt: skip
+    accelerometer_bias_time: Array = leaf(1e6, unit="s", low=1.0, high=1e9, source="kit choice: random walk")
+    gyroscope_bias_time: Array = leaf(1e6, unit="s", low=1.0, high=1e9, source="kit choice: random walk")
+
+
+@parameters
+class Initial:
+    """Standard deviations of the first state, and how it is levelled."""
+
+    attitude: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=_OPENSHOE, tune=True)
+    heading_sigma: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=3.2, source=_OPENSHOE)
+    gyroscope_bias: Array = leaf(
+        7e-4, unit="rad/s", low=1e-8, high=0.1, source=f"{_SHEET}, 0.04 deg/s", tune=True
+    )
+    accelerometer_bias: Array = leaf(
+        0.02, unit="m/s^2", low=1e-6, high=3.0, source=f"{_SHEET}, 2 mg", tune=True
+    )
+    position: Array = leaf(1e-5, unit="m", low=1e-9, high=10.0, source=_OPENSHOE)
+    velocity: Array = leaf(1e-5, unit="m/s", low=1e-9, high=10.0, source=_OPENSHOE)
+    heading: Array = leaf(0.0, unit="rad", low=-6.3, high=6.3, scale="linear", source="0: yaw is free")
+    levelling_s: float = setting(0.1, source="PyShoe: the first 20 samples at 200 Hz")
+
+
+@parameters
+class Strapdown:
+    """How rate and force are integrated."""
+
+    attitude_update: str = setting("exponential", choices=strapdown.ATTITUDE_UPDATES, source=_KIT)
+    force_attitude: str = setting(
+        "mean", choices=strapdown.FORCE_ATTITUDES, source="mean: Fischer; new: PyShoe"
+    )
+
+
+@parameters
+class InertialParameters:
+    """Parameters of the inertial filter."""
+
+    gravity: Array = leaf(9.8029, unit="m/s^2", low=9.7, high=9.9, scale="linear", source="PyShoe")
+    strapdown: Strapdown = group(Strapdown)
+    process: Process = group(Process)
+    initial: Initial = group(Initial)
+
+
+def start(p: InertialParameters, opening: Opening) -> tuple[Navigation, Covariance]:
+    """Levelled by the first samples, heading given, at rest at the origin."""
+    mean = still_mean(opening, opening.force)
+    shape = lane_shape(p, mean[0])
+    like = jnp.zeros(shape, mean.dtype)
+    ones = jnp.ones((3, *shape), mean.dtype)
+    force = align(mean, 1, len(shape)) * ones
+    nav = strapdown.still_at_origin(rotations.levelled(force, p.initial.heading + like))
+    tilt_and_heading = jnp.stack(
+        [x + like for x in (p.initial.attitude, p.initial.attitude, p.initial.heading_sigma)]
+    )
+    deviations = {
+        "t": tilt_and_heading,
+        "g": p.initial.gyroscope_bias * ones,
+        "p": p.initial.position * ones,
+        "v": p.initial.velocity * ones,
+        "a": p.initial.accelerometer_bias * ones,
+    }
+    return nav, covariance.diagonal(deviations)
+
+
+def predict(
+    p: InertialParameters, nav: Navigation, P: Covariance, sample: Sample
+) -> tuple[Navigation, Covariance]:
+    """Mechanise the estimate, and propagate its covariance, over one sample."""
+    dt = sample.dt
+    force, rate = sample.force - nav.accelerometer_bias, sample.rate - nav.gyroscope_bias
+    how = p.strapdown
+    nav, middle, force_n = strapdown.mechanise(
+        nav, force, rate, dt, p.gravity, how.attitude_update, how.force_attitude
+    )
+    noise = ProcessNoise(
+        p.process.gyroscope,
+        p.process.accelerometer,
+        p.process.gyroscope_bias,
+        p.process.accelerometer_bias,
+        p.process.gyroscope_bias_time,
+        p.process.accelerometer_bias_time,
+    )
+    F = covariance.inertial_transition(middle, force_n, dt, noise)
+    P = covariance.predict(P, F, covariance.inertial_noise(noise, dt, force_n[0]))
+    nav = nav._replace(  # a bias that decays in the model decays in the estimate
+        gyroscope_bias=jnp.exp(-dt / noise.gyroscope_bias_time) * nav.gyroscope_bias,
+        accelerometer_bias=jnp.exp(-dt / noise.accelerometer_bias_time) * nav.accelerometer_bias,
+    )
+    return nav, P
+
+
+INERTIAL = Filter(
+    name="inertial",
+    parameters=InertialParameters,
+    opening_s=lambda p: p.initial.levelling_s,
+    start=start,
+    predict=predict,
+    correct=measurements.correct,
+    states=(
+        ("attitude", "t"),
+        ("gyroscope_bias", "g"),
+        ("position", "p"),
+        ("velocity", "v"),
+        ("accelerometer_bias", "a"),
+    ),
+)
