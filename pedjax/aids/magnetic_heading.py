@@ -164,8 +164,9 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
     anchor = jnp.where(begins, looks.window[0].field, state.anchor)
     sigma, sigma_field = compass.heading_sigma(q.noise, seen.field, state.reference), q.noise.field
     if isinstance(tracker, hard_iron.State):
-        sigma = jnp.sqrt(sigma * sigma + compass.offset_variance(nav.attitude, seen.field, tracker.bb))
-        every = tracker.bb[0, 0] + tracker.bb[1, 1] + tracker.bb[2, 2]
+        unsure = tracker.P["oo"]
+        sigma = jnp.sqrt(sigma * sigma + compass.offset_variance(nav.attitude, seen.field, unsure))
+        every = unsure[0, 0] + unsure[1, 1] + unsure[2, 2]
         twice = 2 * every  # half a turn on, an offset counts twice
         sigma_field = jnp.sqrt(sigma_field * sigma_field + twice)
     innovation = rotations.wrap(north - detectors.azimuth(seen.field))

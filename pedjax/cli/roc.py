@@ -171,7 +171,7 @@ def _field(args: argparse.Namespace, config: Config, names: list[str]) -> _Judge
 
     system, params = resolve(config)
     if not system.magnetic:
-        raise InputError(f"the system '{system.name}' does not look at the field; use one that does (--system)")
+        raise InputError(f"the system '{system.name}' does not look at the field; choose another --system")
     sensor = next(iter(sensor_names(system.needs, config.sensor).values()))
     recordings, walks = [], []
     for path in config.recordings:  # the whole truth of one walk at a time: it is large

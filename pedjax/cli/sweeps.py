@@ -172,7 +172,7 @@ def _report(
         {
             "pedjax_version": __version__, "sweep": store.identity, "score": score, "best": best,
             "best_run": int(found.runs.run[found.best[0]]),
-            "best_mean_m": float(found.runs.score[found.best[0]]),
+            f"best_mean_{found.runs.unit}": float(found.runs.score[found.best[0]]),
             "runs": len(found.runs.run), "recordings": list(found.runs.recordings),
             "diverged": int(found.runs.diverged.sum()),
         },
@@ -188,14 +188,15 @@ def _slopes(work: Job, params: Any, axes: tuple[Axis, ...], found: Report, out: 
     """Say and write what the gradient at the best set is."""
     say("slopes at the best set, through the filter on a soft gate (--no-gradient leaves them out):")
     slopes: Sensitivity = sensitivity(work, params, axes)
+    unit = score_kind(work.problem.loss).unit
     steps = {axis.path: "an e-fold" if axis.log else "1% of the range" for axis in axes}
     ordered = sorted(slopes.slope.items(), key=lambda pair: -abs(pair[1]))
     for path, slope in ordered[:12]:
-        part = f"{slope / slopes.loss:+.1%} of {slopes.loss:.4g} m"
-        say(f"  {path}: {slope:+.3g} m for {steps[path]} more ({part})")
+        part = f"{slope / slopes.loss:+.1%} of {slopes.loss:.4g} {unit}"
+        say(f"  {path}: {slope:+.3g} {unit} for {steps[path]} more ({part})")
     table: dict[str, list[Any]] = {
         "parameter": [p for p, _ in ordered],
-        "slope_m": [s for _, s in ordered],
+        f"slope_{unit}": [s for _, s in ordered],
         "for": [steps[p] for p, _ in ordered],
     }
     write_table(out / "slopes.csv", table)

@@ -77,6 +77,16 @@ def score_kind(name: str) -> ScoreKind:
     return SCORES[name]
 
 
+def unit_of(column: str) -> str:
+    """The unit of a score's column, its last part: m of `armse_m`."""
+    return column.rpartition("_")[2]
+
+
+def is_score(column: str) -> bool:
+    """Whether a column of a table is a score."""
+    return any(column == kind.column for kind in SCORES.values())
+
+
 def told_with(loss: str) -> tuple[ScoreKind, ...]:
     """The scores that a sweep by that loss writes: its own, and all that need nothing more than it and
     positions."""

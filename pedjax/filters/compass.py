@@ -14,6 +14,7 @@ from jax import Array
 
 from pedjax import rotations
 from pedjax.calibration.magnetometer import Calibration
+from pedjax.detectors.clock import StanceClock, started, tick
 from pedjax.detectors.field import Look, Window, inclination
 from pedjax.filters.measurements import yaw_row
 from pedjax.filters.strapdown import Navigation
@@ -90,15 +91,11 @@ class Looking:
 
 
 class Looks(NamedTuple):
-    """What is remembered: `total (3, *L)` and `seconds` of the field in this stance so far, for how long the
-    foot has been `moving`, whether this stance has been `used`, the `time`, the last looks in `window`, and
-    how `many` there are."""
+    """What is remembered: the `total (3, *L)` µT s of the field in this stance so far, the `clock` of stances,
+    the last looks in `window`, and how `many` there are."""
 
     total: Array
-    seconds: Array
-    moving: Array
-    used: Array
-    time: Array
+    clock: StanceClock
     window: Window
     many: Array
 
@@ -106,7 +103,7 @@ class Looks(NamedTuple):
 def first(like: Array, steps: int) -> Looks:
     """Nothing seen yet; `like (*L)` is zeros."""
     none = Look(jnp.zeros((3, *like.shape), like.dtype), like, like)
-    return Looks(none.field, like, like, like, like, (none,) * (steps + 1), like)
+    return Looks(none.field, started(like), (none,) * (steps + 1), like)
 
 
 def levelled(nav: Navigation, force: Array, mag: Array, level: Level, how: str) -> Array:
@@ -131,23 +128,16 @@ def look(
     """Gather the field while the foot is `still (*L)`; returns the state and whether it looked just now
     `(*L)`, 0 or 1."""
     here = levelled(nav, force, mag, level, p.levelling)
-    moving = jnp.where(still > 0.5, 0.0, state.moving + dt)
-    half = 0.5 * dt  # borders between samples, not on them: the same looks in any precision
-    over = (moving > p.gap_s + half) | (p.per == "sample")
+    clock, (over, now) = tick(state.clock, still, dt, p.dwell_s, p.gap_s, always=p.per == "sample")
     total = jnp.where(over, 0.0, state.total) + still * dt * here
-    seconds = jnp.where(over, 0.0, state.seconds) + still * dt
-    used = jnp.where(over, 0.0, state.used)
-    enough = (still > 0.5) if p.per == "sample" else (seconds + half >= p.dwell_s)
-    now = jnp.where(enough & (used < 0.5) & (dt > 0), 1.0, 0.0)
-    time = state.time + dt
-    mean = total / jnp.maximum(seconds, 1e-6)
-    seen = Look(mean, rotations.to_euler(nav.attitude)[2], time)
+    mean = total / jnp.maximum(clock.seconds, 1e-6)
+    seen = Look(mean, rotations.to_euler(nav.attitude)[2], clock.time)
     shifted = (*state.window[1:], seen)
     window = tuple(
         Look(*(jnp.where(now > 0, new, old) for new, old in zip(a, b, strict=True)))
         for a, b in zip(shifted, state.window, strict=True)
     )
-    return Looks(total, seconds, moving, jnp.maximum(used, now), time, window, state.many + now), now
+    return Looks(total, clock, window, state.many + now), now
 
 
 def turned(state: Looks, correction: Array, attitude: Array, how: str) -> Looks:

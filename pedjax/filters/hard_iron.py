@@ -24,21 +24,10 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from pedjax import rotations
+from pedjax.filters import covariance
+from pedjax.filters.covariance import Covariance, Rows
 from pedjax.gates import SoftGate, gate, log_positive
-from pedjax.lanes import (
-    add,
-    align,
-    cholesky,
-    dot,
-    eye,
-    forward_substitution,
-    lane_shape,
-    matmul,
-    matmul_t,
-    matvec,
-    symmetric,
-    transpose,
-)
+from pedjax.lanes import add, align, dot, eye, lane_shape, matvec
 from pedjax.parameters import leaf, parameters
 
 _KIT = "kit choice"
@@ -94,19 +83,13 @@ class HardIron(NamedTuple):
 
 
 class State(NamedTuple):
-    """Field, offset (µT) and gyroscope bias (rad/s) `(3, *L)`; the upper blocks `(3, 3, *L)` of their
-    covariance (`fb` is that of field and offset, `w` the bias); the averaged innovation `lean`, and how far
-    the gate is open."""
+    """Field, offset (µT) and gyroscope bias (rad/s) `(3, *L)`; their covariance `P` by blocks of the states
+    `f`, `o` and `b`; the averaged innovation `lean`, and how far the gate is open."""
 
     field: Array
     offset: Array
     bias: Array
-    ff: Array
-    fb: Array
-    fw: Array
-    bb: Array
-    bw: Array
-    ww: Array
+    P: Covariance
     lean: Array
     jump: Array
 
@@ -116,10 +99,9 @@ def start(p: TrackerParameters, reading: Array) -> State:
     shape = lane_shape(p, reading[0])
     none = jnp.zeros(shape, reading.dtype)
     zero = jnp.zeros((3, *shape), reading.dtype)
-    empty = jnp.zeros((3, 3, *shape), reading.dtype)
-    ff, bb, ww = (s * s * eye(3, none) + empty for s in (p.initial_field, p.initial_offset, p.initial_bias))
-    field = align(reading, 1, len(shape)) + zero
-    return State(field, zero, zero, ff, empty, empty, bb, empty, ww, zero, none)
+    deviations = {"f": p.initial_field, "o": p.initial_offset, "b": p.initial_bias}
+    P = covariance.diagonal({state: sigma + zero for state, sigma in deviations.items()})
+    return State(align(reading, 1, len(shape)) + zero, zero, zero, P, zero, none)
 
 
 def step(p: TrackerParameters, state: State, rate: Array, reading: Array, dt: Array) -> State:
@@ -139,54 +121,37 @@ def step(p: TrackerParameters, state: State, rate: Array, reading: Array, dt: Ar
     lever = -dt * rotations.skew(field)  # of the bias on the field
     jumping = state.jump * p.jump * p.jump
     wandering = p.still * p.still + p.turning * p.turning * dot(turned, turned) + jumping
-    # F P Fᵀ + Q, by blocks; `row` is F P for the field
-    row = matmul(turn, state.ff) + matmul_t(lever, state.fw)
-    fb = matmul(turn, state.fb) + matmul_t(lever, state.bw)
-    fw = matmul(turn, state.fw) + matmul(lever, state.ww)
-    ff = symmetric(matmul_t(row, turn) + matmul_t(fw, lever)) + dt * wandering * one
-    bb = state.bb + dt * (p.offset * p.offset + jumping) * one
-    ww = state.ww + dt * p.bias * p.bias * one
+    F: covariance.Transition = {"f": {"f": turn, "b": lever}, "o": {"o": None}, "b": {"b": None}}
+    Q = {
+        "f": dt * wandering * one,
+        "o": dt * (p.offset * p.offset + jumping) * one,
+        "b": dt * p.bias * p.bias * one,
+    }
+    P = covariance.predict(state.P, F, Q)
 
-    # the reading is field + offset: H = [I I 0]
     since = jnp.where(passes, dt, 1.0)  # finite, with finite slopes, where nothing is read
-    noise = p.noise * p.noise / since * one
-    spread = ff + fb + transpose(fb) + bb
-    innovation = weight * (reading - field - state.offset)
-    lower = cholesky(weight * spread + noise)
-    z = forward_substitution(lower, innovation)
-    to_field = forward_substitution(lower, ff + transpose(fb))
-    to_offset = forward_substitution(lower, fb + bb)
-    to_bias = forward_substitution(lower, fw + state.bw)
-
-    def moved(to: list[Array]) -> Array:
-        return weight * add(x * e for x, e in zip(to, z, strict=True))
-
-    def removed(left: list[Array], right: list[Array]) -> Array:
-        return weight * add(x[:, None] * y[None] for x, y in zip(left, right, strict=True))
+    noise = p.noise * p.noise / since * one + jnp.zeros_like(P["ff"])
+    rows = Rows(weight * (reading - field - state.offset), noise, {"f": None, "o": None})
+    seen = covariance.whiten(P, rows, weight)
+    P, correction = covariance.downdate(P, seen, weight)
 
     share = weight * dt / (dt + p.window)
-    lean = (1 - share) * state.lean + share * add(one[:, i] * e for i, e in enumerate(z))
+    lean = (1 - share) * state.lean + share * add(one[:, i] * e for i, e in enumerate(seen.z))
     usual = since / (2 * p.window + since)  # variance of the average of white innovations
     jump = 1 - gate(log_positive(dot(lean, lean) / (usual * p.threshold)), p.width, p.straight_through)
-    jump = jnp.where(passes, jump, state.jump)
     return State(
-        field + moved(to_field),
-        state.offset + moved(to_offset),
-        state.bias + moved(to_bias),
-        symmetric(ff - removed(to_field, to_field)),
-        fb - removed(to_field, to_offset),
-        fw - removed(to_field, to_bias),
-        symmetric(bb - removed(to_offset, to_offset)),
-        state.bw - removed(to_offset, to_bias),
-        symmetric(ww - removed(to_bias, to_bias)),
+        field + correction["f"],
+        state.offset + correction["o"],
+        state.bias + correction["b"],
+        P,
         lean,
-        jump,
+        jnp.where(passes, jump, state.jump),
     )
 
 
 def sigma(state: State) -> Array:
     """Standard deviation `(3, *L)` µT of the offset."""
-    return jnp.sqrt(jnp.stack([state.bb[axis, axis] for axis in range(3)]))
+    return covariance.sigma(state.P, "o")
 
 
 def delayed(rate: Array, dt: Array, lag: ArrayLike) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pedjax.evaluation.resampling import Banded
+from pedjax.evaluation.scores import score_kind
 
 if TYPE_CHECKING:
     from pedjax.tuning import Tuned
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 def tuning_history(tuned: Tuned) -> Figure:
     """Hard-gate loss of every start over iterations, and the errors before and after."""
+    unit = score_kind(tuned.loss).unit
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     curve, pairs = figure.subplots(1, 2, width_ratios=[3, 2])
     rows = [row for row in tuned.history if row["iteration"] >= 0]
@@ -27,21 +29,21 @@ def tuning_history(tuned: Tuned) -> Figure:
                 curve.plot(steps, series, style, marker=".", lw=1, color=f"C{s}", label=label)
     curve.set_yscale("log")
     curve.set_xlabel("iteration (a colour a start)")
-    curve.set_ylabel("mean error, hard gate (m)")
+    curve.set_ylabel(f"mean {tuned.loss}, hard gate ({unit})")
     curve.grid(alpha=0.3, which="both")
     curve.legend(fontsize=8)
     for key, colour in (("tuned_on", "C0"), ("held_back", "C1")):
         if key in tuned.after:
             before, after = list(tuned.before[key].values()), list(tuned.after[key].values())
-            label = f"{key.replace('_', ' ')}: {np.mean(before):.3f} to {np.mean(after):.3f} m"
+            label = f"{key.replace('_', ' ')}: {np.mean(before):.3f} to {np.mean(after):.3f} {unit}"
             pairs.plot(before, after, "o", ms=5, color=colour, alpha=0.8, label=label)
     low, high = pairs.get_xlim()[0], pairs.get_xlim()[1]
     ends = [max(low, 1e-3), high]
     pairs.plot(ends, ends, color="0.5", lw=0.8)
     pairs.set_xscale("log")
     pairs.set_yscale("log")
-    pairs.set_xlabel("error before (m)")
-    pairs.set_ylabel("error after (m)")
+    pairs.set_xlabel(f"{tuned.loss} before ({unit})")
+    pairs.set_ylabel(f"{tuned.loss} after ({unit})")
     pairs.grid(alpha=0.3, which="both")
     pairs.legend(fontsize=8)
     figure.suptitle(f"tuning of {len(tuned.names)} parameters")

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from pedjax.errors import InputError, suggest
+from pedjax.evaluation.scores import unit_of
 from pedjax.sweeping.report import SHOWN, Bins, Marginal, Report
 from pedjax.sweeping.telling import with_unit
 
@@ -44,7 +45,7 @@ def marginal_figure(report: Report) -> Figure:
     for ax in grid.flat[len(names) :]:
         ax.set_visible(False)
     for row in grid:
-        row[0].set_ylabel(f"{_plain(report.runs.name)} (m)")
+        row[0].set_ylabel(_titled(report.runs.name))
     handles, labels = _legend(grid.flat[: len(names)])
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=8, frameon=False)
     return figure
@@ -85,10 +86,10 @@ def pair_figure(report: Report, shown: str = "minimum") -> Figure:
         if row == size - 1:
             ax.set_xlabel(_label(x, 16), fontsize=8)
         if column == 0:
-            ax.set_ylabel(_label(y, 16) if row else f"{_plain(report.runs.name)} (m)", fontsize=8)
+            ax.set_ylabel(_label(y, 16) if row else _titled(report.runs.name), fontsize=8)
     if mesh is not None:
         bar = figure.colorbar(mesh, cax=figure.add_axes((0.58, 0.95, 0.38, 0.012)), orientation="horizontal")
-        bar.set_label(f"{shown} {_plain(report.runs.name)} (m)", fontsize=8)
+        bar.set_label(f"{shown} {_titled(report.runs.name)}", fontsize=8)
         bar.ax.tick_params(labelsize=7)
         if isinstance(norm, LogNorm):
             _decimal_ticks(bar.ax.xaxis, *bar.ax.get_xlim())
@@ -155,8 +156,8 @@ def pareto_figure(report: Report) -> Figure:
         ax.step(*front, where="post", color="C0", lw=1)
         ax.plot(*front, "o", ms=4, color="C0", label=f"not beaten in both ({len(trade.place)})")
         ax.plot(trade.first[best], trade.second[best], "*", ms=14, color="C3", mec="w", label="best run")
-        ax.set_xlabel(f"{_plain(trade.names[0])} (m)")
-        ax.set_ylabel(f"{_plain(trade.names[1])} (m)")
+        ax.set_xlabel(_titled(trade.names[0]))
+        ax.set_ylabel(_titled(trade.names[1]))
         ax.set_title("near the best" if close else "all runs", fontsize=9)
         ax.grid(alpha=0.3)
     ax.legend(fontsize=8)
@@ -288,7 +289,11 @@ def _norm(values: np.ndarray) -> Normalize:
 
 
 def _plain(score: str) -> str:
-    return score.removesuffix("_m")
+    return score.removesuffix(f"_{unit_of(score)}")
+
+
+def _titled(score: str) -> str:
+    return f"{_plain(score)} ({unit_of(score)})"
 
 
 def _label(bins: Bins, most: int) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 
 from pedjax import parameters
 from pedjax.errors import InputError, suggest
+from pedjax.evaluation.scores import is_score
 
 DESIGNS = ("sobol", "latin", "grid", "random")
 
@@ -213,7 +214,7 @@ def with_settings(
     return Design(tuple(axes), repeated, listed)
 
 
-_RESULTS = ("run", "round", "recording", "healthy", "stance_fraction", "fingerprint")
+_RESULTS = ("run", "round", "recording", "healthy", "status", "fingerprint")
 
 
 def listed_sets(path: Path, params: Any) -> dict[str, np.ndarray]:
@@ -239,7 +240,7 @@ def listed_sets(path: Path, params: Any) -> dict[str, np.ndarray]:
     specs = parameters.specs(params)
     found = {}
     for name, column in columns.items():
-        if name in _RESULTS or name.endswith("_m"):
+        if name in _RESULTS or name.endswith("_fraction") or is_score(name):
             continue
         if name not in specs:
             parameters.get(params, name)

@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from pedjax.errors import InputError, suggest
+from pedjax.evaluation.scores import is_score, unit_of
 from pedjax.sweeping.designs import Axis
 from pedjax.sweeping.effects import Effects, coded, effects
 
@@ -30,10 +31,10 @@ Columns = Mapping[str, np.ndarray]
 
 
 class RunScores(NamedTuple):
-    """One score `name` of each of N runs, in order of their numbers `run (N,)`.
+    """One score `name` of each of N runs, in order of their numbers `run (N,)`, in its `unit`.
 
-    `score (N,)` is the mean over recordings in m, NaN where the run `diverged (N,)` on any of them or is
-    `incomplete (N,)`, cut off before it saw all; `each (N, R)` m is the score on each of `recordings`, those
+    `score (N,)` is the mean over recordings, NaN where the run `diverged (N,)` on any of them or is
+    `incomplete (N,)`, cut off before it saw all; `each (N, R)` is the score on each of `recordings`, those
     that have it at all; `row (N,)` a row of the columns that belongs to the run.
     """
 
@@ -45,6 +46,11 @@ class RunScores(NamedTuple):
     incomplete: np.ndarray
     recordings: tuple[str, ...]
     each: np.ndarray
+
+    @property
+    def unit(self) -> str:
+        """Of the score."""
+        return unit_of(self.name)
 
     @property
     def finite(self) -> np.ndarray:
@@ -77,7 +83,7 @@ class Bins:
 class Marginal:
     """Score over one parameter: `count (B,)` runs in each of the `bins`, the `diverged (B,)` share of them.
 
-    Of the others `quantiles (4, B)` m at `QUANTILES`, and the `minimum (B,)` m; NaN where a bin is empty.
+    Of the others `quantiles (4, B)` at `QUANTILES`, and the `minimum (B,)`; NaN where a bin is empty.
     """
 
     bins: Bins
@@ -89,7 +95,7 @@ class Marginal:
 
 @dataclass(frozen=True)
 class Pair:
-    """Score over two parameters: `count`, `diverged` share, `median` and `minimum` m, each `(Bx, By)`."""
+    """Score over two parameters: `count`, `diverged` share, `median` and `minimum`, each `(Bx, By)`."""
 
     x: Bins
     y: Bins
@@ -212,7 +218,7 @@ def analyse(
 
 def per_run(columns: Columns, score: str) -> RunScores:
     """Mean over recordings of one score for every run; a row that comes twice counts as it came last."""
-    known = [name for name in columns if name.endswith("_m")]
+    known = [name for name in columns if is_score(name)]
     if score not in known:
         raise InputError(f"score '{score}' is not in the sweep{suggest(score, known)}")
     value = np.asarray(columns[score], float)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pedjax.evaluation.scores import unit_of
 from pedjax.sweeping.effects import Effects
 from pedjax.sweeping.report import NEAR, QUANTILES, Bins, Edge, Marginal, Pair, Report
 
@@ -34,8 +35,9 @@ def report_tables(report: Report) -> dict[str, dict[str, list[Any]]]:
         "second": [found.names[j] for _, j in couples],
         "share": [float(found.pair[i, j]) for i, j in couples],
     }
-    tables["marginals"] = _stacked([_marginal_table(path, m) for path, m in report.marginals.items()])
-    tables["pairs"] = _stacked([_pair_table(a, b, pair) for (a, b), pair in report.pairs.items()])
+    unit = report.runs.unit
+    tables["marginals"] = _stacked([_marginal_table(path, m, unit) for path, m in report.marginals.items()])
+    tables["pairs"] = _stacked([_pair_table(a, b, pair, unit) for (a, b), pair in report.pairs.items()])
     tables["optimum"] = {
         "parameter": list(report.spans),
         "unit": [axis.unit for axis in report.axes if axis.path in report.spans],
@@ -48,9 +50,9 @@ def report_tables(report: Report) -> dict[str, dict[str, list[Any]]]:
     tables["recordings"] = {
         "recording": [each.recording for each in report.regrets],
         "own_best_run": [each.run for each in report.regrets],
-        "own_best_m": [each.own for each in report.regrets],
-        "at_overall_best_m": [each.at for each in report.regrets],
-        "regret_m": [each.at - each.own for each in report.regrets],
+        f"own_best_{report.runs.unit}": [each.own for each in report.regrets],
+        f"at_overall_best_{report.runs.unit}": [each.at for each in report.regrets],
+        f"regret_{report.runs.unit}": [each.at - each.own for each in report.regrets],
     }
     if report.pareto is not None:
         place = report.pareto.place
@@ -71,10 +73,10 @@ def _names_of(bins: Bins) -> list[str]:
     return list(bins.labels) if bins.labels is not None else [f"{centre:.9g}" for centre in bins.centres]
 
 
-def _marginal_table(path: str, marginal: Marginal) -> dict[str, list[Any]]:
+def _marginal_table(path: str, marginal: Marginal, unit: str) -> dict[str, list[Any]]:
     bins = marginal.bins
     quantiles = {
-        f"q{100 * q:02.0f}_m": row.tolist() for q, row in zip(QUANTILES, marginal.quantiles, strict=True)
+        f"q{100 * q:02.0f}_{unit}": row.tolist() for q, row in zip(QUANTILES, marginal.quantiles, strict=True)
     }
     return {
         "parameter": [path] * len(marginal.count),
@@ -83,12 +85,12 @@ def _marginal_table(path: str, marginal: Marginal) -> dict[str, list[Any]]:
         "high": bins.edges[1:].tolist(),
         "runs": marginal.count.tolist(),
         "diverged_share": marginal.diverged.tolist(),
-        "minimum_m": marginal.minimum.tolist(),
+        f"minimum_{unit}": marginal.minimum.tolist(),
         **quantiles,
     }
 
 
-def _pair_table(first: str, second: str, pair: Pair) -> dict[str, list[Any]]:
+def _pair_table(first: str, second: str, pair: Pair, unit: str) -> dict[str, list[Any]]:
     x, y = _names_of(pair.x), _names_of(pair.y)
     return {
         "first": [first] * pair.count.size,
@@ -97,8 +99,8 @@ def _pair_table(first: str, second: str, pair: Pair) -> dict[str, list[Any]]:
         "second_centre": [b for _ in x for b in y],
         "runs": pair.count.ravel().tolist(),
         "diverged_share": pair.diverged.ravel().tolist(),
-        "median_m": pair.median.ravel().tolist(),
-        "minimum_m": pair.minimum.ravel().tolist(),
+        f"median_{unit}": pair.median.ravel().tolist(),
+        f"minimum_{unit}": pair.minimum.ravel().tolist(),
     }
 
 
@@ -117,8 +119,8 @@ def describe(report: Report) -> list[str]:
         return [*lines, "no run got through all recordings: nothing more to say"]
     score = runs.score[runs.finite]
     lines.append(
-        f"{runs.name}, mean over recordings: best {score.min():.4g} m (run {runs.run[report.best[0]]}), "
-        f"best 1% below {np.quantile(score, 0.01):.4g} m, median {np.median(score):.4g} m"
+        f"{runs.name}, mean over recordings: best {score.min():.4g} {runs.unit} "
+        f"(run {runs.run[report.best[0]]}), best 1% below {np.quantile(score, 0.01):.4g} {runs.unit}, median {np.median(score):.4g} {runs.unit}"
     )
     trust = "" if np.isnan(found.q2) else f", {max(found.q2, 0):.1%} of it predicted in runs left out"
     lines.append(f"variance of {'log10 score' if found.scale == 'log' else 'the score'}{trust}: {found.note}")
@@ -129,9 +131,10 @@ def describe(report: Report) -> list[str]:
     if report.pareto is not None and len(report.pareto.place):
         first, second = report.pareto.first[report.pareto.place], report.pareto.second[report.pareto.place]
         a, b = report.pareto.names
-        ends = f"{first[0]:.4g} and {second[0]:.4g} m"
+        u, v = unit_of(a), unit_of(b)
+        ends = f"{first[0]:.4g} {u} and {second[0]:.4g} {v}"
         if len(first) > 1:
-            ends += f" to {first[-1]:.4g} and {second[-1]:.4g} m"
+            ends += f" to {first[-1]:.4g} {u} and {second[-1]:.4g} {v}"
         lines.append(f"{a} against {b}: {_many(len(first), 'run')} that no other beats in both, {ends}")
     return lines
 
@@ -200,12 +203,14 @@ def _edge_lines(report: Report, most: int = 5) -> list[str]:
 def _regret_lines(report: Report, most: int = 3) -> list[str]:
     if len(report.regrets) < 2:
         return []
+    unit = report.runs.unit
     own = float(np.mean([each.own for each in report.regrets]))
     at = float(np.mean([each.at for each in report.regrets]))
     lines = [
-        f"each recording with its own best run would have {own:.4g} m instead of {at:.4g} m; most to gain:"
+        f"each recording with its own best run would have {own:.4g} {unit} instead of {at:.4g} {unit}; "
+        "most to gain:"
     ]
     return lines + [
-        f"  {each.recording}: {each.own:.4g} m (run {each.run}) instead of {each.at:.4g} m"
+        f"  {each.recording}: {each.own:.4g} {unit} (run {each.run}) instead of {each.at:.4g} {unit}"
         for each in report.regrets[:most]
     ]

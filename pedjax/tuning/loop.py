@@ -71,8 +71,8 @@ class TuneSettings:
 @dataclass(frozen=True)
 class Tuned:
     """What tuning found: `params`, hard-gate loss of each recording `before` and `after` for `tuned_on` and
-    `held_back` (name to m), the `history` (a row per check: iteration, best and all starts' losses), how
-    many filter runs it took (one parameter set over all tuned-on recordings is one), and fingerprints."""
+    `held_back` (name to the `loss`), the `history` (a row per check: iteration, best and all starts' losses),
+    how many filter runs it took (one parameter set over all tuned-on recordings is one), and fingerprints."""
 
     params: Any
     names: tuple[str, ...]
@@ -82,6 +82,7 @@ class Tuned:
     history: list[dict[str, Any]] = field(repr=False)
     runs: dict[str, int]
     fingerprints: tuple[str, ...] = field(repr=False)
+    loss: str = "armse"
 
 
 def tune(
@@ -129,6 +130,7 @@ def tune(
             history=search.history,
             runs=search.runs,
             fingerprints=prints,
+            loss=settings.loss,
         )
 
 
