@@ -91,8 +91,8 @@ class Looking:
 
 
 class Looks(NamedTuple):
-    """What is remembered: the `total (3, *L)` µT s of the field in this stance so far, the `clock` of stances,
-    the last looks in `window`, and how `many` there are."""
+    """What is remembered: the `total (3, *L)` µT s of the field in this stance so far, the `clock` of
+    stances, the last looks in `window`, and how `many` there are."""
 
     total: Array
     clock: StanceClock

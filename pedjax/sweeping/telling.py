@@ -120,7 +120,8 @@ def describe(report: Report) -> list[str]:
     score = runs.score[runs.finite]
     lines.append(
         f"{runs.name}, mean over recordings: best {score.min():.4g} {runs.unit} "
-        f"(run {runs.run[report.best[0]]}), best 1% below {np.quantile(score, 0.01):.4g} {runs.unit}, median {np.median(score):.4g} {runs.unit}"
+        f"(run {runs.run[report.best[0]]}), best 1% below {np.quantile(score, 0.01):.4g} {runs.unit}, "
+        f"median {np.median(score):.4g} {runs.unit}"
     )
     trust = "" if np.isnan(found.q2) else f", {max(found.q2, 0):.1%} of it predicted in runs left out"
     lines.append(f"variance of {'log10 score' if found.scale == 'log' else 'the score'}{trust}: {found.note}")
