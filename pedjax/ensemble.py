@@ -13,6 +13,7 @@ from jax import Array
 
 from pedjax import parameters
 from pedjax.errors import InputError
+from pedjax.evaluation.landmarks import onto
 from pedjax.evaluation.scores import score_kind, told_with
 from pedjax.filtering import scan_points
 from pedjax.packing import Batch, Batches
@@ -50,7 +51,8 @@ def scores(
     params = parameters.with_leaves(params, lanes)
     points = scan_points(problem.system, params, batch.packed, batch.slots, keep)
     found = batch.estimates(points)
-    errors = {kind.name: kind.of(found, batch.reference, problem.alignment) for kind in kinds}
+    reference = onto(batch.reference, points.status.ndim - 1)
+    errors = {kind.name: kind.of(found, reference, problem.alignment) for kind in kinds}
     return Scores(errors, batch.status(points), batch.gates(points))
 
 

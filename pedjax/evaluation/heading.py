@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from pedjax import rotations
-from pedjax.evaluation.landmarks import Reference
-from pedjax.lanes import align, matmul_t
+from pedjax.evaluation.landmarks import Reference, onto
+from pedjax.lanes import matmul_t
 
 
 def turn_about_up(attitude: Array, true: Array) -> Array:
@@ -24,10 +24,10 @@ def heading_rms(attitude: Array, reference: Reference) -> Array:
     The error is followed from point to point, so that it may grow beyond half a turn. NaN where no point
     has a true attitude.
     """
-    assert reference.attitude is not None
-    assert reference.oriented is not None
-    lanes = attitude.ndim - 3
-    true, known = align(reference.attitude, 3, lanes), align(reference.oriented, 1, lanes)
+    reference = onto(reference, attitude.ndim - 3)
+    true, known = reference.attitude, reference.oriented
+    assert true is not None
+    assert known is not None
     error = turn_about_up(jnp.moveaxis(attitude, 0, 2), jnp.moveaxis(true, 0, 2))
     known = known * jnp.ones_like(error)
     steps = rotations.wrap(jnp.diff(error, axis=0, prepend=error[:1])) * known

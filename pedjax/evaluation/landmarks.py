@@ -59,13 +59,15 @@ def _first(x: Array, weight: Array) -> Array:
     return jnp.sum(jnp.where(pick, x, 0.0), axis=0)
 
 
-def _onto(estimate: Array, reference: Reference) -> Reference:
-    """The reference with unit axes for the lanes that only the estimate has."""
-    lanes = estimate.ndim - 2
+def onto(reference: Reference, lanes: int) -> Reference:
+    """The reference with unit axes for lanes that only the estimate has, `lanes` axes in all."""
+    attitude, oriented = reference.attitude, reference.oriented
     return Reference(
         lanes_last(reference.position, 2, lanes),
         lanes_last(reference.horizontal, 1, lanes),
         lanes_last(reference.vertical, 1, lanes),
+        None if attitude is None else lanes_last(attitude, 3, lanes),
+        None if oriented is None else lanes_last(oriented, 1, lanes),
     )
 
 
@@ -73,7 +75,7 @@ def align(estimate: Array, reference: Reference, alignment: str) -> Array:
     """The estimate `(K, 3, *L)` laid on the reference. Heights are matched with the origin or the mean."""
     if alignment == "none":
         return estimate
-    reference = _onto(estimate, reference)
+    reference = onto(reference, estimate.ndim - 2)
     anchor = _first if alignment == "yaw" else _mean
     x, y, z = estimate[:, 0], estimate[:, 1], estimate[:, 2]
     rx, ry, rz = reference.position[:, 0], reference.position[:, 1], reference.position[:, 2]
@@ -92,7 +94,7 @@ def align(estimate: Array, reference: Reference, alignment: str) -> Array:
 
 def landmark_errors(estimate: Array, reference: Reference, alignment: str = "yaw_translation") -> Errors:
     """Errors of positions `(K, 3, *L)` at the landmarks, after alignment."""
-    reference = _onto(estimate, reference)
+    reference = onto(reference, estimate.ndim - 2)
     difference = align(estimate, reference, alignment) - reference.position
     square = difference[:, 0] ** 2 + difference[:, 1] ** 2
     h = reference.horizontal * jnp.ones_like(square)

@@ -18,7 +18,8 @@ class ScoreKind(NamedTuple):
     """A score, lower being better.
 
     `of(estimates, reference, alignment) -> (*L)` takes fields of the estimate by name at the scored points,
-    `(K, ..., *L)`; `keep` says which it needs; `known` what must be known of the points.
+    `(K, ..., *L)`, and a reference that broadcasts against them; `keep` says which fields it needs, `known`
+    what must be known of the points.
     """
 
     name: str
