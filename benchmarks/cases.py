@@ -12,10 +12,10 @@ import numpy as np
 
 from pedjax import parameters
 from pedjax.filtering import Packed
-from pedjax.packing import Walk
 from pedjax.recording import Inertial
-from pedjax.system import Signals
+from pedjax.system import Inputs, Signals
 from pedjax.systems.iez import IEZ
+from pedjax.walks import Walk
 
 RATE = 200.0
 
@@ -46,7 +46,13 @@ def walk(length: int) -> Walk:
     force, rate, dt = signals(length)
     index = np.arange(0, length, int(5 * RATE))
     place = np.stack([0.01 * index, np.zeros(len(index)), np.zeros(len(index))], axis=1)
-    return Walk("benchmark", Inertial(np.cumsum(dt), dt, force, rate), index, place)
+    return Walk("benchmark", {"foot": Inertial(np.cumsum(dt), dt, force, rate)}, index, place)
+
+
+def inputs(params: Any, length: int, dtype: Any) -> Inputs:
+    """The signals, prepared for IEZ."""
+    given = [jnp.asarray(x, dtype) for x in signals(length)]
+    return jax.jit(lambda f, r, d: IEZ.prepare(params, {"foot": Signals(f, r)}, d, RATE))(*given)
 
 
 def packed(length: int, dtype: Any) -> tuple[Any, Packed]:
@@ -54,12 +60,9 @@ def packed(length: int, dtype: Any) -> tuple[Any, Packed]:
     params = parameters.cast(IEZ.defaults(), dtype)
     chunk = 1 << round(np.log2(length) / 2)
     length = length // chunk * chunk
-    given = [jnp.asarray(x, dtype) for x in signals(length)]
-    inputs = jax.jit(lambda f, r, d: IEZ.prepare(params, Signals(f, r, d), RATE))(*given)
     slot = np.full((length, 1), -1)
     slot[::1000] = 0
-    begin = np.zeros((length // chunk, 1), bool)
-    begin[0] = True
-    lanes = jax.tree.map(lambda x: x[..., None], inputs)
-    opening = jax.tree.map(lambda x: jnp.broadcast_to(x, (length // chunk, *x.shape)), lanes.opening)
-    return params, Packed(lanes.samples, opening, jnp.asarray(begin), jnp.asarray(slot))
+    which = np.full((length // chunk, 1), -1)
+    which[0] = 0
+    lanes = jax.tree.map(lambda x: x[..., None], inputs(params, length, dtype))
+    return params, Packed(lanes.samples, lanes.opening, jnp.asarray(which), jnp.asarray(slot))

@@ -7,12 +7,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from benchmarks.cases import RATE, best_of, packed, signals
+from benchmarks.cases import RATE, best_of, inputs, packed, signals
 from pedjax import filtering, parameters
 from pedjax.detectors import stance
 from pedjax.filtering import Packed
 from pedjax.runtime import double_precision, lane_count
-from pedjax.system import Signals
 from pedjax.systems.iez import IEZ
 
 TUNED = (
@@ -26,16 +25,14 @@ TUNED = (
 def single_walk(length: int, dtype: Any) -> float:
     """Samples/s of one walk, whole track kept."""
     params = parameters.cast(IEZ.defaults(), dtype)
-    given = [jnp.asarray(x, dtype) for x in signals(length)]
-    inputs = jax.jit(lambda f, r, d: IEZ.prepare(params, Signals(f, r, d), RATE))(*given)
+    given = inputs(params, length, dtype)
 
     @jax.jit
     def go(p: Any, i: Any) -> Any:
-        return filtering.scan(IEZ, p, i.samples, IEZ.start(p, i.opening), lambda o: (o.navigation, o.stance))[
-            1
-        ]
+        state = IEZ.start(p, None, i.opening)
+        return filtering.scan(IEZ, p, None, i.samples, state, lambda o: (o.estimate, o.gates["stance"]))[1]
 
-    return length / best_of(lambda: go(params, inputs))
+    return length / best_of(lambda: go(params, given))
 
 
 def lanes(length: int, width: int, dtype: Any, **changes: Any) -> float:
@@ -48,7 +45,7 @@ def lanes(length: int, width: int, dtype: Any, **changes: Any) -> float:
 
     @jax.jit
     def go(values: dict[str, jax.Array], data: Packed) -> jax.Array:
-        return filtering.scan_points(IEZ, parameters.with_leaves(params, values), data, 1).position
+        return filtering.scan_points(IEZ, parameters.with_leaves(params, values), data, 1).kept["position"]
 
     return data.slot.shape[0] * width / best_of(lambda: go(values, data))
 
@@ -79,7 +76,7 @@ def gradient(length: int, starts: int = 1, mode: str = "reverse", names: tuple[s
 
         def loss(values: dict[str, jax.Array], data: Packed) -> jax.Array:
             points = filtering.scan_points(IEZ, parameters.with_leaves(params, values), data, 1)
-            return jnp.sum(jnp.mean(points.position**2, axis=(0, 1, 2)))
+            return jnp.sum(jnp.mean(points.kept["position"] ** 2, axis=(0, 1, 2)))
 
         def forward_mode(values: dict[str, jax.Array], data: Packed) -> dict[str, jax.Array]:
             def slope(name: str) -> jax.Array:

@@ -14,9 +14,9 @@ import numpy as np
 import pedjax
 from benchmarks.cases import RATE, walk
 from pedjax.ensemble import Problem
-from pedjax.packing import Walk
 from pedjax.sweeping.engine import Engine, Job
 from pedjax.systems.iez import IEZ
+from pedjax.walks import Walk
 
 RANGES = {
     "stance.shoe.threshold": [1e6, 1e9],
@@ -26,7 +26,8 @@ RANGES = {
 
 
 def job_of(walks: list[Walk]) -> Job:
-    return Job(Problem(IEZ, "armse", "yaw_translation"), IEZ.defaults(), tuple(walks), jnp.result_type(float))
+    problem = Problem(IEZ, "armse", "yaw_translation")
+    return Job(problem, IEZ.defaults(), tuple(walks), jnp.result_type(float), {"foot": "foot"})
 
 
 def sets(count: int) -> dict[str, np.ndarray]:

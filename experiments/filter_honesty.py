@@ -23,13 +23,14 @@ import pedjax
 from pedjax import filtering, parameters, rotations
 from pedjax.filters import covariance
 from pedjax.output import folder, write_table
-from pedjax.packing import prepare, walk
+from pedjax.preparing import prepare
 from pedjax.runtime import double_precision
 from pedjax.simulation.footsteps import Leg
 from pedjax.simulation.presets import calibrated, preset
 from pedjax.simulation.scenarios import Scenario
 from pedjax.simulation.world import Simulated, simulate
 from pedjax.systems.iez import IEZ
+from pedjax.walks import walk
 
 UNIT, CALIBRATED = "mti_g_710", 0.95
 
@@ -77,10 +78,10 @@ def errors(made: Simulated, params: Any) -> tuple[np.ndarray, np.ndarray]:
     start = truth.motion.attitude[0]
     heading = float(np.arctan2(start[1, 0], start[0, 0]))
     params = parameters.cast(parameters.replace(params, {"initial.heading": heading}), float)
-    imu = walk(made.recording).imu
-    inputs = prepare(IEZ, params, imu, float, len(imu.time))
+    found = walk(made.recording)
+    inputs = prepare(IEZ, params, found, float, len(found))
     state, _ = _run(params, inputs)
-    nav, last = state.navigation, -1
+    nav, last = state.estimate, -1
     turned = truth.motion.attitude[last] @ np.asarray(nav.attitude).T
     position = truth.motion.position[last] - truth.motion.position[0] - np.asarray(nav.position)
     error = np.concatenate(
@@ -97,7 +98,8 @@ def errors(made: Simulated, params: Any) -> tuple[np.ndarray, np.ndarray]:
 
 @jax.jit
 def _run(params: Any, inputs: Any) -> Any:
-    return filtering.scan(IEZ, params, inputs.samples, IEZ.start(params, inputs.opening), lambda o: o.stance)
+    state = IEZ.start(params, None, inputs.opening)
+    return filtering.scan(IEZ, params, None, inputs.samples, state, lambda o: o.status)
 
 
 def main() -> None:

@@ -67,8 +67,8 @@ def armse(recording: Recording, params: Any, clock: Any = None) -> float:
         pedjax.run(recording, "iez", params, clock=clock), recording, alignment="yaw_translation"
     )
     assert score is not None
-    assert score.pyshoe_armse_m is not None
-    return score.pyshoe_armse_m
+    assert score.armse_m is not None
+    return score.armse_m
 
 
 def main() -> None:

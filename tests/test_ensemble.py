@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from pedjax import parameters
-from pedjax.ensemble import LOSSES, Problem, losses, scores, walks_for
+from pedjax.ensemble import Problem, losses, scores, walks_for
 from pedjax.errors import InputError
-from pedjax.evaluation.landmarks import Errors
-from pedjax.packing import pack
+from pedjax.evaluation.scores import told_with
+from pedjax.packing import pack_all
 from pedjax.recording import Landmarks
+from pedjax.system import Status
 from pedjax.systems import SYSTEMS
 from tests import tools
 
@@ -19,9 +20,9 @@ IEZ = SYSTEMS["iez"]
 
 
 @pytest.fixture(scope="module")
-def batch(demos):
+def batches(demos):
     walks = walks_for(IEZ, tools.iez(), [demos[2], demos[0]], "foot", None, "armse")
-    return pack(IEZ, parameters.cast(tools.iez(), float), walks)
+    return pack_all(IEZ, parameters.cast(tools.iez(), float), walks)
 
 
 VALUES = {
@@ -30,19 +31,17 @@ VALUES = {
 }
 
 
-def test_losses_are_the_scores_and_infinite_where_a_run_diverged(batch):
+def test_losses_are_the_scores_and_infinite_where_a_run_diverged(batches):
     problem, params = Problem(IEZ, "mean_2d", "yaw_translation"), parameters.cast(tools.iez(), float)
+    (batch,) = batches.parts
     found = jax.jit(scores, static_argnums=0)(problem, params, VALUES, batch)
-    assert found.healthy.tolist() == [[True, True], [True, True], [False, False]]
-    assert found.stance.shape == (3, 2)
-    assert {x.shape for x in found.errors} == {(3, 2)}
-    loss = losses(problem, params, VALUES, batch)
-    np.testing.assert_array_equal(loss[:2], found.errors.mean_2d[:2])
+    assert found.status.tolist() == [[0, 0], [0, 0], [Status.DIVERGED] * 2]
+    assert found.gates["stance"].shape == (3, 2)
+    assert set(found.errors) == {kind.name for kind in told_with("mean_2d")}
+    assert {x.shape for x in found.errors.values()} == {(3, 2)}
+    loss = losses(problem, params, VALUES, batches)
+    np.testing.assert_array_equal(loss[:2], found.errors["mean_2d"][:2])
     assert np.isinf(loss[2]).all()
-
-
-def test_every_loss_is_an_error():
-    assert set(LOSSES.values()) <= set(Errors._fields)
 
 
 def with_marks(recording, known):

@@ -101,7 +101,7 @@ def test_statistics_are_those_of_the_filter(pairs, walks, given):
         each = given.statistic[name]
         chosen = parameters.replace(ALONE, {"field.detector": name})
         track = run(pairs[0][0], "ma2018", chosen)
-        ratio = track.more["field_log_ratio"][track.more["look"] > 0][3:]
+        ratio = track.gates["field"].log_ratio[track.more["look"] > 0][3:]
         own = parameters.replace(PARAMS.field, {"detector": name})
         np.testing.assert_allclose(field_roc.log_ratios(own, walks[0].windows), ratio, rtol=1e-9, atol=1e-9)
         unit = np.median(each[0] / np.exp(ratio))

@@ -10,9 +10,13 @@ import pytest
 import pedjax
 from pedjax import filtering, parameters
 from pedjax.errors import InputError
-from pedjax.packing import Walk, bucket, pack, points_of, prepare, reference_of, walk
+from pedjax.packing import pack
+from pedjax.preparing import prepare
 from pedjax.recording import Inertial, Landmarks
+from pedjax.shapes import bucket
+from pedjax.system import Status
 from pedjax.systems import SYSTEMS
+from pedjax.walks import Walk, points_of, reference_of, walk
 from tests import tools
 
 IEZ = SYSTEMS["iez"]
@@ -40,7 +44,7 @@ def at_points(tracks, demos):
 
 def test_packed_recordings_equal_each_alone(batch, demos, params, alone):
     points = scan_points(IEZ, parameters.cast(params, float), batch.packed, batch.slots)
-    estimates = np.asarray(batch.estimates(points))
+    estimates = np.asarray(batch.estimates(points)["position"])
     for r, expected in enumerate(at_points(alone, demos)):
         np.testing.assert_allclose(estimates[: len(expected), :, r], expected, atol=1e-10)
         np.testing.assert_allclose(
@@ -50,9 +54,9 @@ def test_packed_recordings_equal_each_alone(batch, demos, params, alone):
             np.asarray(batch.reference.horizontal)[:, r].cumsum()
             == np.minimum(np.arange(1, len(estimates) + 1), len(expected))
         ).all()
-    assert np.asarray(batch.healthy(points)).all()
-    total = sum(t.stance.sum() for t in alone)
-    padding = np.asarray(points.updates).sum() - total
+    assert (np.asarray(batch.status(points)) == 0).all()
+    total = sum(t.gates["stance"].weight.sum() for t in alone)
+    padding = np.asarray(points.gates["stance"]).sum() - total
     assert abs(padding) < 1e-6
 
 
@@ -61,13 +65,13 @@ def test_lanes_equal_one_by_one(batch, demos, params):
     cast = parameters.cast(params, float)
     lanes = parameters.with_leaves(cast, {"stance.shoe.threshold": jnp.asarray(thresholds)[:, None]})
     points = scan_points(IEZ, lanes, batch.packed, batch.slots)
-    estimates = np.asarray(batch.estimates(points))
+    estimates = np.asarray(batch.estimates(points)["position"])
     assert estimates.shape == (len(batch.rows), 3, 3, len(demos))
-    assert batch.healthy(points).shape == (3, len(demos))
+    assert batch.status(points).shape == (3, len(demos))
     for s, threshold in enumerate(thresholds):
         one = parameters.with_leaves(cast, {"stance.shoe.threshold": jnp.asarray(threshold)})
         single = scan_points(IEZ, one, batch.packed, batch.slots)
-        np.testing.assert_allclose(estimates[:, :, s], batch.estimates(single), atol=1e-10)
+        np.testing.assert_allclose(estimates[:, :, s], batch.estimates(single)["position"], atol=1e-10)
 
 
 def test_points_lie_at_the_nearest_samples(demos):
@@ -85,7 +89,7 @@ def test_two_landmarks_on_one_sample(demos, params):
     assert made.index[1] == made.index[2] == made.index[3]
     cast = parameters.cast(params, float)
     batch = pack(IEZ, cast, [made, walk(demos[1])])
-    estimates = np.asarray(batch.estimates(scan_points(IEZ, cast, batch.packed, batch.slots)))
+    estimates = np.asarray(batch.estimates(scan_points(IEZ, cast, batch.packed, batch.slots))["position"])
     track = pedjax.run(twice, params=params)
     np.testing.assert_allclose(estimates[:5, :, 0], track.position[made.index], atol=1e-10)
 
@@ -96,13 +100,13 @@ def test_a_broken_recording_spoils_no_other(demos, params):
     imu = walks[2].imu
     force = imu.specific_force.copy()
     force[len(force) // 2] = 1e200
-    walks[2] = replace(walks[2], imu=replace(imu, specific_force=force))
+    walks[2] = replace(walks[2], sensors={"foot": replace(imu, specific_force=force)})
     cast = parameters.cast(params, float)
     batch = pack(IEZ, cast, walks)
     assert (batch.columns == batch.columns[2]).sum() > 1 or len(set(batch.columns)) < 4
     points = scan_points(IEZ, cast, batch.packed, batch.slots)
-    np.testing.assert_array_equal(batch.healthy(points), [True, True, False, True])
-    estimates = np.asarray(batch.estimates(points))
+    np.testing.assert_array_equal(batch.status(points), [0, 0, Status.DIVERGED, 0])
+    estimates = np.asarray(batch.estimates(points)["position"])
     for r in (0, 1, 3):
         expected = pedjax.run(demos[r], params=params).position[walks[r].index]
         np.testing.assert_allclose(estimates[: len(expected), :, r], expected, atol=1e-10)
@@ -114,7 +118,7 @@ def tiny(count, rng):
     signal = np.tile([0.0, 0.0, 9.8], (count, 1))
     return Walk(
         str(count),
-        Inertial(time, np.full(count, 0.01), signal, 0 * signal),
+        {"foot": Inertial(time, np.full(count, 0.01), signal, 0 * signal)},
         np.array([count - 1]),
         np.zeros((1, 3)),
     )
@@ -154,11 +158,11 @@ def test_buckets_are_few_and_close():
 
 def test_padding_leaves_the_samples_alone(demos, params):
     cast = parameters.cast(params, float)
-    imu = walk(demos[0]).imu.crop(0, 500)
-    alone, padded = (prepare(IEZ, cast, imu, float, n) for n in (500, 640))
+    made = tools.cropped(walk(demos[0]), 0, 500)
+    alone, padded = (prepare(IEZ, cast, made, float, n) for n in (500, 640))
     for a, b in zip(jax.tree.leaves(alone), jax.tree.leaves(padded), strict=True):
         np.testing.assert_array_equal(a, b[: len(a)])
-    assert (np.asarray(padded.samples.dt)[500:] == 0).all()
+    assert (np.asarray(padded.samples.sensor.dt)[500:] == 0).all()
 
 
 def test_dense_truth_is_thinned(demos):

@@ -25,10 +25,17 @@ def test_shapes_and_starting_point(track, demos):
     shapes = {
         "time": (count,), "position": (count, 3), "velocity": (count, 3), "attitude": (count, 3, 3),
         "euler": (count, 3), "gyroscope_bias": (count, 3), "accelerometer_bias": (count, 3),
-        "stance": (count,), "log_ratio": (count,), "sigma": (count, 15),
+        "weight": (count,), "log_ratio": (count,), "status": (count,),
     }  # fmt: skip
+    gate = {name: getattr(track.gates["stance"], name) for name in ("weight", "log_ratio")}
+    own = {name: getattr(track, name) for name in ("time", "euler", "status")}
+    told = {**own, **track.estimate, **gate, **{f"sigma of {k}": x for k, x in track.sigma.items()}}
+    shapes |= {f"sigma of {name}": (count, 3) for name in tools.ERROR_STATES}
+    assert told.keys() == shapes.keys()
+    assert track.position is told["position"]
+    assert track.attitude is told["attitude"]
     for name, shape in shapes.items():
-        value = getattr(track, name)
+        value = told[name]
         assert isinstance(value, np.ndarray), name
         assert value.shape == shape, name
         assert np.isfinite(value).all(), name
@@ -50,10 +57,10 @@ def test_distance_does_not_count_the_jitter_of_samples(track):
     tenths = [*track.position[::20], track.position[-1]]
     assert track.distance == pytest.approx(distance_walked(tenths), rel=1e-12)
     jitter = np.random.default_rng(0).normal(0, 2e-3, track.position.shape)
-    shaken = replace(track, position=track.position + jitter)
+    shaken = replace(track, estimate={**track.estimate, "position": track.position + jitter})
     every = np.linalg.norm(np.diff(shaken.position[:, :2], axis=0), axis=1).sum()
     assert shaken.distance < 1.02 * track.distance < 1.3 * track.distance < every
-    still = replace(track, position=np.zeros_like(track.position))
+    still = replace(track, estimate={**track.estimate, "position": np.zeros_like(track.position)})
     assert still.distance == 0.0
 
 

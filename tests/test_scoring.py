@@ -36,7 +36,7 @@ def test_score_equals_the_reference(track, recording, alignment):
     expected = oracle.errors(laid, truth, track.distance)
     for name in ("rms_2d", "rms_3d", "mean_2d", "max_2d", "final_2d"):
         assert getattr(score, f"{name}_m") == pytest.approx(expected[name], abs=1e-6), name
-    assert score.pyshoe_armse_m == pytest.approx(expected["armse"], abs=1e-6)
+    assert score.armse_m == pytest.approx(expected["armse"], abs=1e-6)
     assert score.percent_of_distance == pytest.approx(expected["percent_final"], abs=1e-5)
     height = np.sqrt(np.mean((laid - truth)[:, 2] ** 2))
     assert score.rms_height_m == pytest.approx(height, abs=1e-6)
@@ -75,7 +75,7 @@ def test_heights_only(track, recording):
     assert score.rms_height_m == pytest.approx(np.sqrt(np.mean((height - height[0]) ** 2)))
     assert set(score.as_dict()) == {
         "count", "alignment", "rms_2d_m", "rms_3d_m", "mean_2d_m", "max_2d_m", "final_2d_m",
-        "percent_of_distance", "pyshoe_armse_m", "rms_height_m",
+        "percent_of_distance", "armse_m", "rms_height_m",
     }  # fmt: skip
 
 

@@ -1,12 +1,13 @@
 """Walks for the tests: noise, recordings, crops."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pedjax import parameters
+from pedjax import filtering, parameters
 from pedjax.recording import Landmarks, Recording, Sensor, Stream, Truth
 from pedjax.systems import system
 from tests.reference import filter as oracle
@@ -19,6 +20,9 @@ ORACLE_NAMES = {
     "accelerometer_bias": "b_a",
 }
 """The parts of an estimate, and what the dense filter calls them."""
+
+ERROR_STATES = ("attitude", "gyroscope_bias", "position", "velocity", "accelerometer_bias")
+"""The parts of an estimate in the order of the dense filter's error states."""
 
 LEAVES = tuple(parameters.specs(system("iez").defaults()))
 
@@ -104,14 +108,30 @@ def oracle_settings(params, force, heading):
     )
 
 
+def sigmas(told):
+    """Standard deviations `(T, 15)` of a track or an output, in the order of the error states."""
+    return np.concatenate([told.sigma[name] for name in ERROR_STATES], axis=-1)
+
+
+def cropped(walk, start, stop):
+    """A walk of a foot, cut to samples `start` to `stop`."""
+    return replace(walk, sensors={"foot": walk.imu.crop(start, stop)})
+
+
+@partial(jax.jit, static_argnames="system")
+def scan(system, params, samples, state):
+    """`filtering.scan` without a site."""
+    return filtering.scan(system, params, None, samples, state)
+
+
 def same_bits(a, b):
     for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
         np.testing.assert_array_equal(x, y)
 
 
-def assert_chunks_equal_the_whole(scan, system, params, inputs, cut):
+def assert_chunks_equal_the_whole(system, params, inputs, cut):
     """A scan up to sample `cut`, and another from there on, give what one over all gives, to the bit."""
-    state = system.start(params, inputs.opening)
+    state = system.start(params, None, inputs.opening)
     end, whole = scan(system, params, inputs.samples, state)
     parts = slice(cut), slice(cut, None)
     first, second = (jax.tree.map(lambda x, s=s: x[s], inputs.samples) for s in parts)

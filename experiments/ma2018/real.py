@@ -36,7 +36,7 @@ def loop(recording: pedjax.Recording, track: pedjax.Track) -> dict[str, float]:
     imu = pedjax.inertial(recording)
     assert imu.magnetic_field is not None
     field = np.einsum("tij,tj->ti", track.attitude, imu.magnetic_field)
-    still = np.flatnonzero(track.stance > 0.5)
+    still = np.flatnonzero(track.gates["stance"].open)
     half = 0.5 * imu.rate
     first, last = still[still < still[0] + half], still[still > still[-1] - half]
     azimuth = [np.arctan2(*field[at].mean(axis=0)[1::-1]) for at in (first, last)]
@@ -52,7 +52,7 @@ def loop(recording: pedjax.Recording, track: pedjax.Track) -> dict[str, float]:
 def _turn_per_centimetre(track: pedjax.Track, azimuth: np.ndarray) -> float:
     """By how much the field turns from where the foot stood to 2 cm on, when it sets out: median, deg/cm."""
     found = []
-    for first, end in zip(*stance_edges(track.stance > 0.5), strict=True):
+    for first, end in zip(*stance_edges(track.gates["stance"].open), strict=True):
         away = np.linalg.norm(track.position[end:] - track.position[end - 1], axis=1)
         if end - first > 30 and (away > 0.02).any():
             k = int(np.argmax(away > 0.02))
@@ -79,7 +79,7 @@ def compared(
             track = presets.run(recording, preset)
             looks = track.more["look"] > 0
             found = told(recording, track)
-            used = float((track.more["field_weight"][looks] > 0.5).mean()) if looks.any() else 0.0
+            used = float((track.gates["field"].open[looks]).mean()) if looks.any() else 0.0
             rows.append({"recording": path.name.split(".")[0], "preset": preset, **found, "looks_used": used})
             print(*(f"{v:.2f}" if isinstance(v, float) else f"{v:34}" for v in rows[-1].values()), sep="  ")
     for key in [k for k in rows[0] if k.endswith(("_m", "_deg", "_cm"))]:

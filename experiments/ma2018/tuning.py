@@ -23,6 +23,10 @@ from pedjax.systems.ma2018 import MA2018
 from pedjax.tuning import TuneSettings
 
 PLACES = ("mall", "office-loop")
+THRESHOLDS = {"magyq": ("variance",), "vector": ("false_alarm", "change")}
+"""Operating points of detectors that have no `threshold`."""
+HEADING = ("compass.noise.floor", "compass.noise.field", "compass.tail", "compass.start_sigma")
+"""The order of names decides which random numbers scatter whom."""
 
 
 def walks(seeds: range) -> list[pedjax.Recording]:
@@ -47,8 +51,8 @@ def main() -> None:
     out = folder(args.out)
     detector = {"field.detector": args.detector}
     params = params_of("ma2018_published", detector)
-    field = tuple(n for n in MA2018.tunable(params) if n.startswith(("field.", "compass.")))
-    names = (*field, "compass.noise.oddity", "updates.zero_velocity", "initial.gyroscope_bias")
+    thresholds = (f"field.{args.detector}.{name}" for name in THRESHOLDS.get(args.detector, ("threshold",)))
+    names = (*thresholds, *HEADING, "compass.noise.oddity", "updates.zero_velocity", "initial.gyroscope_bias")
     if args.detector == "ma":
         names += tuple(f"field.ma.sigma_{channel}" for channel in ("heading", "inclination", "strength"))
     settings = TuneSettings(names=names, loss="mean_2d", iterations=args.iterations, starts=2, validation=0.0)

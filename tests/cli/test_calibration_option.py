@@ -46,11 +46,12 @@ def test_a_system_without_a_magnetometer_refuses_it(calibration, tmp_path, capsy
 
 def test_every_number_of_a_calibration_has_its_parameter(rng):
     made = Calibration(*(rng.normal(size=shape) for shape in ((3,), (3, 3), (2,), (2, 2))))
-    found = calibrated_by(made)
-    assert found["body.hard_y"] == made.hard_iron[1]
-    assert found["body.zx"] == made.matrix[2, 0]
-    assert found["level.offset_y"] == made.level_offset[1]
-    assert len(found) == 17
     known = pedjax.system("ma2018").defaults()
+    found = calibrated_by(known, made)
+    assert found["compass.body.hard_y"] == made.hard_iron[1]
+    assert found["compass.body.zx"] == made.matrix[2, 0]
+    assert found["compass.level.offset_y"] == made.level_offset[1]
+    assert len(found) == 17
     for path in found:
-        assert np.isfinite(parameters.get(known, f"compass.{path}"))
+        assert np.isfinite(parameters.get(known, path))
+    assert calibrated_by(pedjax.system("iez").defaults(), made) == {}

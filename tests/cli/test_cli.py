@@ -14,7 +14,7 @@ from tests.cli.calling import call, metrics, refused
 
 SCORE = {
     "count", "alignment", "rms_2d_m", "rms_3d_m", "mean_2d_m", "max_2d_m", "final_2d_m",
-    "percent_of_distance", "pyshoe_armse_m",
+    "percent_of_distance", "armse_m",
 }  # fmt: skip
 
 
@@ -213,7 +213,7 @@ def test_tune_and_run_with_what_it_found(files, tmp_path, capsys):
     for entry, part in zip(entries, ("tuned_on", "tuned_on", "held_back", "tuned_on"), strict=True):
         name = pedjax.read(entry["path"]).name
         expected = whole["after"][part]["each_m"][name]
-        assert entry["landmarks"]["pyshoe_armse_m"] == pytest.approx(expected, rel=1e-6)
+        assert entry["landmarks"]["armse_m"] == pytest.approx(expected, rel=1e-6)
 
     held = ("--config", out / "tuned.toml", "--held-back", files[0], "--out", tmp_path / "no")
     capsys.readouterr()

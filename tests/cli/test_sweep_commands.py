@@ -74,7 +74,7 @@ def test_run_takes_the_best_parameters(default, tmp_path):
     assert call("run", "demo:0", *args, "--alignment", "yaw_translation") == 0
     (entry,) = metrics(tmp_path)["recordings"]
     assert entry["tuned_on"]
-    assert entry["landmarks"]["pyshoe_armse_m"] == pytest.approx(metrics(out)["best_mean_m"], rel=1e-6)
+    assert entry["landmarks"]["armse_m"] == pytest.approx(metrics(out)["best_mean_m"], rel=1e-6)
 
 
 def test_again_it_goes_on_where_it_stopped(default):

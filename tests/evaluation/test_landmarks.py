@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pedjax.evaluation.landmarks import ALIGNMENTS, align, landmark_errors
-from pedjax.packing import reference_of
+from pedjax.walks import reference_of
 from tests.reference import evaluation as oracle
 
 align_jit = jax.jit(align, static_argnums=2)
@@ -40,7 +40,7 @@ def test_alignment_and_errors_equal_the_search(points, alignment, known):
     found = errors_jit(estimate, reference, alignment)
     for name in ("rms_2d", "mean_2d", "max_2d", "final_2d", "rms_3d"):
         assert float(getattr(found, name)) == pytest.approx(expected[name], abs=1e-6), name
-    assert float(found.pyshoe_armse) == pytest.approx(expected["armse"], abs=1e-6)
+    assert float(found.armse) == pytest.approx(expected["armse"], abs=1e-6)
 
 
 def test_closed_form_is_no_worse_than_any_search(points, rng):
@@ -57,7 +57,7 @@ def test_pyshoe_armse_is_the_mean_of_the_rms_over_two_axes(points):
     truth = np.nan_to_num(truth)
     difference = (estimate - truth)[:, :2]
     expected = np.mean(np.sqrt(np.mean(difference**2, axis=1)))
-    assert float(errors_jit(estimate, reference_of(truth), "none").pyshoe_armse) == pytest.approx(expected)
+    assert float(errors_jit(estimate, reference_of(truth), "none").armse) == pytest.approx(expected)
 
 
 def test_errors_do_not_depend_on_what_is_aligned_away(points):
@@ -128,7 +128,7 @@ def test_slopes_are_finite_where_points_coincide(points, alignment, case):
     def slopes(name, x):
         return jax.grad(lambda x: getattr(landmark_errors(x, reference_of(truth), alignment), name))(x)
 
-    for name in ("rms_2d", "mean_2d", "pyshoe_armse", *(["rms_3d"] if case != "unknown" else [])):
+    for name in ("rms_2d", "mean_2d", "armse", *(["rms_3d"] if case != "unknown" else [])):
         assert np.isfinite(slopes(name, jnp.asarray(estimate))).all(), name
 
 
@@ -137,7 +137,7 @@ def test_slope_of_the_aligned_loss_equals_differences(points):
     reference = reference_of(truth)
 
     def loss(x):
-        return landmark_errors(x, reference, "yaw_translation").pyshoe_armse
+        return landmark_errors(x, reference, "yaw_translation").armse
 
     slope = jax.jit(jax.grad(loss))(jnp.asarray(estimate))
     step = 1e-5
@@ -145,7 +145,7 @@ def test_slope_of_the_aligned_loss_equals_differences(points):
         bump = np.zeros_like(estimate)
         bump[k, c] = step
         up, down = (
-            float(errors_jit(estimate + s * bump, reference, "yaw_translation").pyshoe_armse) for s in (1, -1)
+            float(errors_jit(estimate + s * bump, reference, "yaw_translation").armse) for s in (1, -1)
         )
         assert float(slope[k, c]) == pytest.approx((up - down) / (2 * step), abs=1e-9)
     assert float(slope[5, 0]) == 0.0  # x and y unknown

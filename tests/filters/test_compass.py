@@ -12,6 +12,7 @@ from pedjax.calibration import Calibration, apply
 from pedjax.filters import compass, measurements
 from pedjax.filters.compass import HeadingNoise, Level, Looking
 from pedjax.filters.strapdown import still_at_origin
+from pedjax.systems import system
 from tests.reference import field as naive
 from tests.reference import filter as dense
 
@@ -332,9 +333,11 @@ def test_looking_has_finite_slopes_where_nothing_was_seen():
 
 def test_the_body_calibration_is_the_calibrations(rng):
     made = Calibration(*(rng.normal(size=shape) for shape in ((3,), (3, 3), (2,), (2, 2))))
-    paths = {
-        k.removeprefix("body."): v for k, v in compass.calibrated_by(made).items() if k.startswith("body.")
-    }
+    known = system("ma2018").defaults()
+    whole = "compass.body."
+    found = compass.calibrated_by(known, made)
+    paths = {k.removeprefix(whole): v for k, v in found.items() if k.startswith(whole)}
+    assert paths.keys() == parameters.specs(compass.Body()).keys()
     body = parameters.cast(parameters.with_leaves(compass.Body(), paths), float)
     raw = rng.normal(size=(5, 3)) * 40
     np.testing.assert_allclose(compass.in_body(body, jnp.asarray(raw.T)).T, apply(made, raw), atol=1e-12)

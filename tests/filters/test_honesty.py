@@ -64,7 +64,8 @@ def monte_carlo(key, scale):
             estimate, read_force - estimate.accelerometer_bias, read_rate - estimate.gyroscope_bias,
             jnp.asarray(DT), jnp.asarray(GRAVITY),
         )  # fmt: skip
-        P = covariance.predict(P, middle, force_n, jnp.asarray(DT), NOISE)
+        F = covariance.inertial_transition(middle, force_n, jnp.asarray(DT), NOISE)
+        P = covariance.predict(P, F, covariance.inertial_noise(NOISE, jnp.asarray(DT), force_n[0]))
         estimate = estimate._replace(
             gyroscope_bias=keep[0] * estimate.gyroscope_bias,
             accelerometer_bias=keep[1] * estimate.accelerometer_bias,

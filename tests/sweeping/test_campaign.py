@@ -19,6 +19,7 @@ import pytest
 
 import pedjax
 from pedjax.errors import InputError
+from pedjax.evaluation.scores import told_with
 from pedjax.sweeping import engine
 from pedjax.sweeping import store as keep
 from pedjax.sweeping.campaign import Rounds, manifest_of, run_campaign
@@ -116,8 +117,8 @@ def test_each_column_has_its_type(whole):
     schema = pq.read_schema(keep.part_path(whole, 0))
     words, number = pa.dictionary(pa.int32(), pa.string()), pa.float64()
     wanted = {"run": pa.int64(), "round": pa.int32(), "recording": words, "fingerprint": words}
-    wanted |= {"healthy": pa.bool_(), "stance_fraction": number}
-    wanted |= dict.fromkeys((*RANGES, *engine.SCORES), number)
+    wanted |= {"healthy": pa.bool_(), "status": pa.int32(), "stance_fraction": number}
+    wanted |= dict.fromkeys((*RANGES, *(kind.column for kind in told_with("armse"))), number)
     assert dict(zip(schema.names, schema.types, strict=True)) == wanted
     for n in range(1, 4):
         assert pq.read_schema(keep.part_path(whole, n)) == schema
@@ -128,7 +129,8 @@ def test_the_table_holds_the_scores_of_a_sweep(whole, recordings, design):
     table = table_of(whole)
     for name, scores in found.scores.items():
         np.testing.assert_array_equal(table[name].to_numpy(), scores.ravel())
-    np.testing.assert_array_equal(table["stance_fraction"].to_numpy(), found.stance.ravel())
+    np.testing.assert_array_equal(table["stance_fraction"].to_numpy(), found.gates["stance"].ravel())
+    np.testing.assert_array_equal(table["status"].to_numpy(), found.status.ravel())
 
 
 def test_what_diverged_has_no_score(whole):
@@ -136,7 +138,7 @@ def test_what_diverged_has_no_score(whole):
     table = table_of(whole)
     lost = np.repeat(np.isin(np.arange(COUNT), (3, 11)), 2)
     np.testing.assert_array_equal(table["healthy"].to_numpy(zero_copy_only=False), ~lost)
-    for name in engine.SCORES:
+    for name in (kind.column for kind in told_with("armse")):
         np.testing.assert_array_equal(table[name].is_null().to_numpy(), lost)
 
 
@@ -231,7 +233,9 @@ FOREIGN = {
     "precision": lambda w, r, d: manifest_of(replace(w, dtype=np.dtype("float32")), r, d, Rounds(), {}),
     "recordings": lambda w, r, d: manifest_of(w, r[::-1], d, Rounds(), {}),
     "rounds": lambda w, r, d: manifest_of(w, r, d, Rounds(refine=1, count=4), {}),
-    "sensor": lambda w, r, d: manifest_of(w, r, d, Rounds(), {"sensor": "foot_left"}),
+    "sensors": lambda w, r, d: manifest_of(replace(w, sensors={"foot": "foot_left"}), r, d, Rounds(), {}),
+    "site": lambda w, r, d: manifest_of(replace(w, site={"map": np.ones(3)}), r, d, Rounds(), {}),
+    "axis": lambda w, r, d: manifest_of(w, r, d, Rounds(), {"axis": "of the command"}),
 }  # fmt: skip
 
 

@@ -10,8 +10,10 @@ import pytest
 import pedjax
 from pedjax import parameters, sweep
 from pedjax.errors import InputError
+from pedjax.evaluation.scores import told_with
 from pedjax.runtime import double_precision, lane_count
 from pedjax.sweeping import engine
+from pedjax.system import Status
 from pedjax.systems import SYSTEMS
 from tests import tools
 from tests.sweeping.processes import python
@@ -37,10 +39,11 @@ def row(values, n, **settings):
 def assert_equal_single_run(found, n, r, recording, params, alignment="yaw_translation"):
     track = pedjax.run(recording, params=params)
     score = pedjax.evaluate(track, recording, alignment)
-    assert found.scores["armse_m"][n, r] == pytest.approx(score.pyshoe_armse_m, abs=1e-11)
+    assert found.scores["armse_m"][n, r] == pytest.approx(score.armse_m, abs=1e-11)
     for name in ERRORS:
         assert found.scores[name][n, r] == pytest.approx(getattr(score, name), abs=1e-11), name
-    assert found.stance[n, r] == pytest.approx(track.stance.mean(), abs=1e-14)
+    assert found.gates["stance"][n, r] == pytest.approx(track.gates["stance"].weight.mean(), abs=1e-14)
+    assert found.status[n, r] == track.status[-1] == 0
     assert found.healthy[n, r]
 
 
@@ -117,7 +120,9 @@ def test_a_run_that_diverges_spoils_no_neighbour(walks, eleven):
     values[lost] = 1e200, np.nan
     found = sweep(walks, {**eleven[0], path: values})
     np.testing.assert_array_equal(found.healthy, np.repeat(~lost[:, None], 3, axis=1))
-    for name in engine.SCORES:
+    assert (found.status[lost] == Status.DIVERGED).all()
+    assert set(found.scores) == {kind.column for kind in told_with("armse")}
+    for name in found.scores:
         assert np.isnan(found.scores[name][lost]).all()
         np.testing.assert_array_equal(found.scores[name][~lost], clean.scores[name][~lost])
     assert np.isinf(found.mean[lost]).all()
@@ -148,9 +153,9 @@ def test_few_sets_on_several_recordings_use_the_spare_lanes(demos):
 def test_a_recording_of_about_the_same_length_compiles_nothing(demos):
     traces = []
 
-    def step(p, state, sample):
+    def step(p, site, state, sample):
         traces.append(1)
-        return SYSTEMS["iez"].step(p, state, sample)
+        return SYSTEMS["iez"].step(p, site, state, sample)
 
     counted = SYSTEMS["iez"]._replace(step=step)
     sweep([tools.crop(demos[1], 18.9)], sets(3), counted)
@@ -191,7 +196,7 @@ recordings, values = pickle.load(open(walks, "rb"))
 assert len(jax.devices()) == count
 for n in range(1, count + 1) if count == 1 else range(2, count + 1):
     found = pedjax.sweep(recordings, values, devices=jax.devices()[:n])
-    np.savez(f"{target}{n}.npz", **found.scores, healthy=found.healthy, stance=found.stance)
+    np.savez(f"{target}{n}.npz", **found.scores, status=found.status, stance=found.gates["stance"])
 """
 
 

@@ -25,20 +25,21 @@ def settings_of(params, walk, **changes):
 
 
 def compare(track, walk, params, tolerance=1e-9, **changes):
-    zaru = track.stance if params.updates.zaru else np.zeros_like(track.stance)
+    stance = track.gates["stance"].weight
+    zaru = stance if params.updates.zaru else np.zeros_like(stance)
     expected = oracle.run(
         walk.dt,
         walk.specific_force,
         walk.angular_rate,
-        track.stance,
+        stance,
         zaru,
         settings_of(params, walk, **changes),
     )
     for ours, theirs in tools.ORACLE_NAMES.items():
         np.testing.assert_allclose(
-            getattr(track, ours), expected[theirs], atol=tolerance, rtol=0, err_msg=ours
+            track.estimate[ours], expected[theirs], atol=tolerance, rtol=0, err_msg=ours
         )
-    np.testing.assert_allclose(track.sigma, np.sqrt(expected["P_diag"]), atol=tolerance, rtol=1e-9)
+    np.testing.assert_allclose(tools.sigmas(track), np.sqrt(expected["P_diag"]), atol=tolerance, rtol=1e-9)
 
 
 def shoe_ratio(walk, params):
@@ -60,10 +61,10 @@ def test_hard_gate_equals_the_textbook_filter(minute, minute_recording, method):
     params = tools.iez(strapdown__attitude_update=method, initial__heading=0.4, **tools.shoe_sigmas())
     track = pedjax.run(minute_recording, params=params)
     assert track.healthy
-    assert 0.2 < track.stance.mean() < 0.6
-    assert set(np.unique(track.stance)) == {0.0, 1.0}
+    assert 0.2 < track.gates["stance"].weight.mean() < 0.6
+    assert set(np.unique(track.gates["stance"].weight)) == {0.0, 1.0}
     compare(track, minute, params)
-    np.testing.assert_array_equal(track.stance, shoe_ratio(minute, params) < 0)
+    np.testing.assert_array_equal(track.gates["stance"].weight, shoe_ratio(minute, params) < 0)
 
 
 def test_published_defaults_equal_the_textbook_filter(minute, minute_recording):
@@ -77,7 +78,7 @@ def test_angular_rate_updates_and_soft_gate(minute, minute_recording):
     )
     track = pedjax.run(minute_recording, params=params)
     weight = 1 / (1 + np.exp(shoe_ratio(minute, params) / 0.25))
-    np.testing.assert_allclose(track.stance, weight, atol=1e-9)
+    np.testing.assert_allclose(track.gates["stance"].weight, weight, atol=1e-9)
     compare(track, minute, params)
 
 
@@ -111,8 +112,10 @@ def test_adaptive_gate(minute, minute_recording):
         now += dt / (dt + own.follow_time) * (bounded[k] - now)
         level[k] = now
     log_ratio = published - own.follow * level
-    np.testing.assert_allclose(track.log_ratio[2:], log_ratio[2:], atol=1e-9)
-    np.testing.assert_allclose(track.stance, 1 / (1 + np.exp(log_ratio / own.width)), atol=1e-9)
+    np.testing.assert_allclose(track.gates["stance"].log_ratio[2:], log_ratio[2:], atol=1e-9)
+    np.testing.assert_allclose(
+        track.gates["stance"].weight, 1 / (1 + np.exp(log_ratio / own.width)), atol=1e-9
+    )
     sigma = params.updates.zero_velocity * (1 + np.exp(bounded - own.floor)) ** own.growth
     compare(track, minute, params, sigma_zupt=sigma)
 
@@ -127,9 +130,9 @@ def test_hysteresis_raises_the_threshold_while_still(minute, minute_recording, w
         now = ratio - still * np.log(3.0)
         still = float(now < 0) if width == 0 else 1 / (1 + np.exp(now / width))
         weight[k] = still
-    np.testing.assert_allclose(track.stance, weight, atol=1e-9)
+    np.testing.assert_allclose(track.gates["stance"].weight, weight, atol=1e-9)
     plain = pedjax.run(minute_recording, params=tools.iez(gate__width=width, **tools.shoe_sigmas()))
-    assert track.stance.sum() > plain.stance.sum()
+    assert track.gates["stance"].weight.sum() > plain.gates["stance"].weight.sum()
     compare(track, minute, params)
 
 
@@ -137,7 +140,7 @@ def test_adaptive_gate_without_coefficients_is_the_published_one(minute_recordin
     own = tools.shoe_sigmas()
     published = pedjax.run(minute_recording, params=tools.iez(**own))
     adaptive = pedjax.run(minute_recording, params=tools.iez(gate__kind="adaptive", **own))
-    np.testing.assert_array_equal(adaptive.stance, published.stance)
+    np.testing.assert_array_equal(adaptive.gates["stance"].weight, published.gates["stance"].weight)
     np.testing.assert_allclose(adaptive.position, published.position, atol=1e-10)
 
 
@@ -160,7 +163,7 @@ def test_stance_of_the_other_detectors(minute, minute_recording, detector):
         ).all(axis=1),
     }[detector]()
     track = pedjax.run(minute_recording, params=params)
-    np.testing.assert_array_equal(track.stance > 0.5, expected)
+    np.testing.assert_array_equal(track.gates["stance"].open, expected)
     assert 0.1 < expected.mean() < 0.9
 
 
@@ -169,7 +172,7 @@ def test_stance_of_the_other_rules(minute, minute_recording, rule):
     params = tools.iez(stance__detector="ared", stance__rule=rule, stance__ared__window_s=0.05)
     track = pedjax.run(minute_recording, params=params)
     expected = naive.apply_rule(naive.ared(minute.angular_rate, 5), 5, rule) < params.stance.ared.threshold
-    np.testing.assert_array_equal(track.stance > 0.5, expected)
+    np.testing.assert_array_equal(track.gates["stance"].open, expected)
 
 
 def test_soft_gate_goes_to_the_hard_one(minute_recording):
@@ -189,7 +192,7 @@ def test_straight_through_runs_hard(minute_recording):
     through = pedjax.run(
         minute_recording, params=tools.iez(gate__width=0.25, gate__straight_through=True, **own)
     )
-    np.testing.assert_array_equal(through.stance, hard.stance)
+    np.testing.assert_array_equal(through.gates["stance"].weight, hard.gates["stance"].weight)
     np.testing.assert_allclose(through.position, hard.position, atol=1e-10)
 
 

@@ -1,7 +1,6 @@
 """Ma 2018 against IEZ and against a dense filter with its own looks and decisions, over simulated walks."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -14,13 +13,15 @@ from pedjax.detectors.field import Look, log_ratio
 from pedjax.ensemble import Problem, losses
 from pedjax.errors import InputError
 from pedjax.filters import compass, hard_iron
-from pedjax.packing import pack, prepare, walk
+from pedjax.packing import pack_all
+from pedjax.preparing import prepare
 from pedjax.recording import Stream
 from pedjax.simulation.footsteps import Leg
 from pedjax.simulation.scenarios import Scenario
 from pedjax.simulation.world import simulate
 from pedjax.systems import SYSTEMS
 from pedjax.tuning.loop import gate_widths
+from pedjax.walks import walk
 from tests import tools
 from tests.reference import field as naive
 from tests.reference import filter as dense
@@ -79,7 +80,7 @@ def yaw_error(track, made):
     """Degrees, at every sample of a stance."""
     C = made.truth["foot"].motion.attitude
     away = track.euler[:, 2] - np.arctan2(C[:, 1, 0], C[:, 0, 0])
-    return np.degrees(np.arctan2(np.sin(away), np.cos(away)))[track.stance > 0.5]
+    return np.degrees(np.arctan2(np.sin(away), np.cos(away)))[track.gates["stance"].open]
 
 
 @pytest.mark.parametrize("where", ["munich", "building"])
@@ -87,9 +88,13 @@ def test_without_its_update_it_is_iez(both, where):
     recording = both[where].recording
     track = pedjax.run(recording, "ma2018", ma(compass__update="none", compass__start="given"))
     iez = pedjax.run(recording, "iez")
-    for name in (*tools.ORACLE_NAMES, "stance", "log_ratio", "sigma"):
-        np.testing.assert_allclose(getattr(track, name), getattr(iez, name), atol=1e-12, rtol=0, err_msg=name)
-    assert (track.more["field_weight"] == 0).all()
+    for name in tools.ORACLE_NAMES:
+        np.testing.assert_allclose(track.estimate[name], iez.estimate[name], atol=1e-12, rtol=0, err_msg=name)
+    np.testing.assert_allclose(tools.sigmas(track), tools.sigmas(iez), atol=1e-12, rtol=0)
+    for kind in ("weight", "log_ratio"):
+        ours, theirs = (getattr(t.gates["stance"], kind) for t in (track, iez))
+        np.testing.assert_allclose(ours, theirs, atol=1e-12, rtol=0, err_msg=kind)
+    assert (track.gates["field"].weight == 0).all()
     assert track.more["look"].sum() > 20
 
 
@@ -141,16 +146,23 @@ def compare(recording, p, tolerance=1e-8):
     assert all(np.isfinite(x).all() for x in track.more.values())
     imu = walk(recording).imu
     expected = naive.run_magnetic(
-        imu.dt, imu.specific_force, imu.angular_rate, imu.magnetic_field, track.stance, *settings_of(p, imu)
+        imu.dt,
+        imu.specific_force,
+        imu.angular_rate,
+        imu.magnetic_field,
+        track.gates["stance"].weight,
+        *settings_of(p, imu),
     )
     np.testing.assert_array_equal(track.more["look"], expected["look"])
     looked = expected["look"] > 0
-    np.testing.assert_allclose(track.more["field_weight"][looked], expected["weight"][looked], atol=tolerance)
+    np.testing.assert_allclose(
+        track.gates["field"].weight[looked], expected["weight"][looked], atol=tolerance
+    )
     for ours, theirs in tools.ORACLE_NAMES.items():
         np.testing.assert_allclose(
-            getattr(track, ours), expected[theirs], atol=tolerance, rtol=0, err_msg=ours
+            track.estimate[ours], expected[theirs], atol=tolerance, rtol=0, err_msg=ours
         )
-    np.testing.assert_allclose(track.sigma, np.sqrt(expected["P_diag"]), atol=tolerance, rtol=1e-7)
+    np.testing.assert_allclose(tools.sigmas(track), np.sqrt(expected["P_diag"]), atol=tolerance, rtol=1e-7)
     assert (expected["weight"] > 0.1).any()
     return track, expected
 
@@ -189,32 +201,27 @@ def test_it_equals_the_dense_filter(building, name):
 
 @pytest.fixture(scope="module")
 def prepared(building):
-    imu = walk(building.recording).imu.crop(0, 1600)
+    found = tools.cropped(walk(building.recording), 0, 1600)
     p = parameters.cast(unsure(field__width=0.3, compass__gyroscope_rows=True), float)
-    return p, imu, prepare(MA, p, imu, float, 1600)
+    return p, found, prepare(MA, p, found, float, 1600)
 
 
 HALF = 800
 """A cut in a swing, with three looks behind it in the window."""
 
 
-@partial(jax.jit, static_argnames="system")
-def scan(system, params, samples, state):
-    return filtering.scan(system, params, samples, state)
-
-
 def test_cropping_the_end_changes_no_bit(prepared):
-    p, imu, inputs = prepared
-    _, whole = scan(MA, p, inputs.samples, MA.start(p, inputs.opening))
-    assert whole.more["field_weight"].max() > 0.5
-    cropped = prepare(MA, p, imu.crop(0, HALF), float, HALF)
-    _, part = scan(MA, p, cropped.samples, MA.start(p, cropped.opening))
+    p, found, inputs = prepared
+    _, whole = tools.scan(MA, p, inputs.samples, MA.start(p, None, inputs.opening))
+    assert whole.gates["field"].weight.max() > 0.5
+    cropped = prepare(MA, p, tools.cropped(found, 0, HALF), float, HALF)
+    _, part = tools.scan(MA, p, cropped.samples, MA.start(p, None, cropped.opening))
     tools.same_bits(jax.tree.map(lambda x: x[:HALF], whole), part)
 
 
 def test_two_chunks_equal_one_to_the_bit(prepared):
     p, _, inputs = prepared
-    tools.assert_chunks_equal_the_whole(scan, MA, p, inputs, HALF)
+    tools.assert_chunks_equal_the_whole(MA, p, inputs, HALF)
 
 
 LANES = {
@@ -229,11 +236,11 @@ LANES = {
 def test_lanes_equal_one_by_one(prepared):
     p, _, inputs = prepared
     lanes = parameters.with_leaves(p, {n: jnp.asarray(x) for n, x in LANES.items()})
-    _, together = scan(MA, lanes, inputs.samples, MA.start(lanes, inputs.opening))
-    assert together.navigation.position.shape == (1600, 3, 3)
+    _, together = tools.scan(MA, lanes, inputs.samples, MA.start(lanes, None, inputs.opening))
+    assert together.estimate.position.shape == (1600, 3, 3)
     for i in range(3):
         one = parameters.with_leaves(p, {n: jnp.asarray(x[i]) for n, x in LANES.items()})
-        _, alone = scan(MA, one, inputs.samples, MA.start(one, inputs.opening))
+        _, alone = tools.scan(MA, one, inputs.samples, MA.start(one, None, inputs.opening))
         for ours, theirs in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
             np.testing.assert_allclose(ours[..., i], theirs, atol=1e-9, rtol=1e-9)
 
@@ -258,10 +265,10 @@ def test_walks_in_columns_equal_one_by_one(both, iron):
     walks = [walk(made.recording) for made in both.values()]
     values = {"compass.noise.floor": jnp.array([0.03, 0.3])}
     problem = Problem(MA, "rms_2d", "none")
-    together = losses(problem, p, values, pack(MA, p, walks))
+    together = losses(problem, p, values, pack_all(MA, p, walks))
     assert together.shape == (2, 2)
     for i, one in enumerate(walks):
-        alone = losses(problem, p, values, pack(MA, p, [one]))
+        alone = losses(problem, p, values, pack_all(MA, p, [one]))
         np.testing.assert_allclose(together[:, i], alone[:, 0], rtol=1e-9)
 
 
@@ -287,15 +294,15 @@ def test_gradients_of_a_landmark_error_equal_differences(building, slopes, more)
     p = unsure(field__width=0.5, gate__width=0.25, **more)
     p = parameters.cast(parameters.replace(p, slopes), float)
     found = walk(building.recording)
-    inputs = prepare(MA, p, found.imu, float, len(found.imu.time))
+    inputs = prepare(MA, p, found, float, len(found))
     at, there = jnp.asarray(found.index), jnp.asarray(found.position[:, :2])
 
     @jax.jit
     @jax.value_and_grad
     def error(values):
         q = parameters.with_leaves(p, values)
-        state = MA.start(q, inputs.opening)
-        _, place = filtering.scan(MA, q, inputs.samples, state, lambda o: o.navigation.position)
+        state = MA.start(q, None, inputs.opening)
+        _, place = filtering.scan(MA, q, None, inputs.samples, state, lambda o: o.estimate.position)
         return jnp.sqrt(jnp.mean(jnp.sum((place[at, :2] - there) ** 2, axis=1)))
 
     values = {name: jnp.asarray(x) for name, x in slopes.items()}
@@ -356,11 +363,12 @@ def from_half(made):
 def test_by_default_no_hard_iron_is_tracked(prepared):
     p, _, inputs = prepared
     assert p.compass.hard_iron == "fixed"
-    assert inputs.samples.late == MA.start(p, inputs.opening).tracker == ()
-    assert not any("tracker" in path for path in MA.tunable(p))
+    state = MA.start(p, None, inputs.opening).aids["magnetic_heading"]
+    assert inputs.samples.own["magnetic_heading"] == state.tracker == ()
+    assert not any("tracker" in path for path in parameters.tunable(p))
     on = parameters.replace(p, {"compass.hard_iron": "tracked"})
-    assert set(MA.tunable(on)) - set(MA.tunable(p)) <= set(parameters.specs(on))
-    assert "compass.tracker.still" in MA.tunable(on)
+    assert set(parameters.tunable(on)) - set(parameters.tunable(p)) <= set(parameters.specs(on))
+    assert "compass.tracker.still" in parameters.tunable(on)
 
 
 def test_tracked_is_taking_the_tracked_offsets_off_beforehand(building):
@@ -372,9 +380,9 @@ def test_tracked_is_taking_the_tracked_offsets_off_beforehand(building):
         compass__tracker__lag_s=0.013, **tracker,
     )  # fmt: skip
     tracked = parameters.cast(tracked, float)
-    imu = walk(with_magnet(building, from_half(building))).imu.crop(1000, 2600)
-    inputs = prepare(MA, tracked, imu, float, 1600)
-    _, ours = scan(MA, tracked, inputs.samples, MA.start(tracked, inputs.opening))
+    found = tools.cropped(walk(with_magnet(building, from_half(building))), 1000, 2600)
+    inputs, imu = prepare(MA, tracked, found, float, 1600), found.imu
+    _, ours = tools.scan(MA, tracked, inputs.samples, MA.start(tracked, None, inputs.opening))
 
     alone = parameters.cast(parameters.replace(hard_iron.HardIronParameters(), {**rows, "lag": 0.013}), float)
     iron = jax.jit(hard_iron.track_hard_iron)(imu.angular_rate, imu.magnetic_field, imu.dt, alone)
@@ -382,11 +390,13 @@ def test_tracked_is_taking_the_tracked_offsets_off_beforehand(building):
     np.testing.assert_allclose(ours.more["hard_iron_sigma"], iron.sigma, atol=1e-9)
     assert np.abs(iron.offset[-1]).max() > 3.0
     fixed = parameters.replace(tracked, {"compass.hard_iron": "fixed"})
-    samples = inputs.samples._replace(field=inputs.samples.field - iron.offset, late=())
-    _, theirs = scan(MA, fixed, samples, MA.start(fixed, inputs.opening))
+    sensor = inputs.samples.sensor
+    sensor = sensor._replace(field=sensor.field - iron.offset)
+    samples = inputs.samples._replace(sensor=sensor, own={**inputs.samples.own, "magnetic_heading": ()})
+    _, theirs = tools.scan(MA, fixed, samples, MA.start(fixed, None, inputs.opening))
     for name in set(theirs.more) - {"heading_sigma"}:
         np.testing.assert_allclose(ours.more[name], theirs.more[name], atol=1e-9, err_msg=name)
-    same = (ours.navigation, ours.variances), (theirs.navigation, theirs.variances)
+    same = (ours.estimate, ours.sigma), (theirs.estimate, theirs.sigma)
     for a, b in zip(*map(jax.tree.leaves, same), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
 
@@ -428,7 +438,7 @@ def test_a_magnet_put_on_while_walking_is_found(plain):
         "fixed": pedjax.run(recording, "ma2018"),
         "tracked": pedjax.run(recording, "ma2018", p),
     }
-    late = {name: yaw_error(t, plain)[on[t.stance > 0.5]] for name, t in tracks.items()}
+    late = {name: yaw_error(t, plain)[on[t.gates["stance"].open]] for name, t in tracks.items()}
     none, fixed, tracked = (float(np.sqrt(np.mean(x**2))) for x in late.values())
     print(f"yaw off by {none:.1f} deg with nothing put on, {fixed:.1f} fixed, {tracked:.1f} tracked")
     assert tracked < none + 0.3 < 0.5 * fixed
@@ -484,12 +494,12 @@ def test_what_is_seen_is_the_field_of_the_place(plain):
     """Each look finds the homogeneous field, as strong as it is; and is judged as quasi-static."""
     track = pedjax.run(plain.recording, "ma2018", unsure())
     at = track.more["look"] > 0
-    steps = track.stances().max() + 1
+    steps = track.gates["stance"].stretches(track.time).max() + 1
     assert 0.9 * steps <= at.sum() <= steps
     size = np.linalg.norm(track.more["magnetic_field"][at], axis=1)
     assert np.abs(size - np.linalg.norm(plain.truth["foot"].magnetic_field[0])).max() < 3
-    np.testing.assert_allclose(track.more["field_weight"][at], np.arange(at.sum()) >= 3, atol=1e-5)
-    assert (track.more["field_weight"][~at] == 0).all()
+    np.testing.assert_allclose(track.gates["field"].weight[at], np.arange(at.sum()) >= 3, atol=1e-5)
+    assert (track.gates["field"].weight[~at] == 0).all()
 
 
 def test_ratios_of_looks_are_those_of_the_run(building):
@@ -502,7 +512,7 @@ def test_ratios_of_looks_are_those_of_the_run(building):
     window = tuple(
         Look(*map(jnp.asarray, (b[k : k + stop].T, yaw[k : k + stop], time[k : k + stop]))) for k in range(4)
     )
-    found = track.more["field_log_ratio"][at]
+    found = track.gates["field"].log_ratio[at]
     np.testing.assert_allclose(found[3:], log_ratio(p.field, window, jnp.asarray(np.pi / 2)), atol=1e-9)
     assert (found[:3] == 10).all()
 

@@ -9,9 +9,10 @@ import pytest
 from pedjax import parameters
 from pedjax.detectors.stance import DETECTORS
 from pedjax.ensemble import Problem, losses
-from pedjax.packing import pack, walk
+from pedjax.packing import pack_all
 from pedjax.systems import SYSTEMS
 from pedjax.tuning import objective
+from pedjax.walks import walk
 from tests import tools
 from tests.reference.walk import walk as make_walk
 
@@ -83,7 +84,7 @@ class Loss:
         self.names = tuple(names)
         self.problem = Problem(IEZ, "rms_2d", "none")
         self.cast = parameters.cast(self.params, float)
-        self.batch = pack(IEZ, self.cast, [scored])
+        self.batch = pack_all(IEZ, self.cast, [scored])
         self.free = {
             n: jnp.asarray([self.specs[n].to_free(parameters.get(self.params, n))]) for n in self.names
         }
@@ -212,18 +213,19 @@ def test_thresholds_of_the_other_detectors(truth, scored, detector):
 
 def still(imu, force, rate=0.0):
     shape = imu.specific_force.shape
-    return replace(
+    found = replace(
         imu,
         specific_force=np.broadcast_to(np.asarray(force, float), shape),
         angular_rate=np.full(shape, rate),
     )
+    return {"foot": found}
 
 
 DEGENERATE = {
-    "a foot that never moves": lambda w: replace(w, imu=still(w.imu, [0.3, -0.2, 9.79])),
-    "no force at all": lambda w: replace(w, imu=still(w.imu, [0.0, 0.0, 0.0])),
-    "gimbal lock at rest": lambda w: replace(w, imu=still(w.imu, [-9.8029, 0.0, 0.0])),
-    "exactly gravity": lambda w: replace(w, imu=still(w.imu, [0.0, 0.0, 9.8029])),
+    "a foot that never moves": lambda w: replace(w, sensors=still(w.imu, [0.3, -0.2, 9.79])),
+    "no force at all": lambda w: replace(w, sensors=still(w.imu, [0.0, 0.0, 0.0])),
+    "gimbal lock at rest": lambda w: replace(w, sensors=still(w.imu, [-9.8029, 0.0, 0.0])),
+    "exactly gravity": lambda w: replace(w, sensors=still(w.imu, [0.0, 0.0, 9.8029])),
     "all landmarks equal": lambda w: replace(w, position=np.zeros_like(w.position)),
     "a single landmark": lambda w: replace(
         w, position=np.where(np.arange(len(w.index))[:, None] == 2, w.position, np.nan)
@@ -236,7 +238,7 @@ DEGENERATE = {
 @pytest.mark.parametrize("kind", DEGENERATE)
 @pytest.mark.parametrize("width", ["soft", "hard"])
 def test_gradients_are_finite_at_degenerate_inputs(everything, scored, kind, width):
-    batch = pack(IEZ, everything.cast, [DEGENERATE[kind](scored)])
+    batch = pack_all(IEZ, everything.cast, [DEGENERATE[kind](scored)])
     free = {"gate.width": jnp.array([-1e4])} if width == "hard" else {}
     loss, gradient = everything.gradient(batch, **free)
     assert np.isfinite(loss)
@@ -249,7 +251,7 @@ def test_gradient_is_finite_where_the_gate_ties(everything, scored):
     away = (9.79 - 9.8029) ** 2 / VALUES["stance.shoe.sigma_accelerometer"] ** 2
     tie = Loss.__new__(Loss)
     tie.__dict__ = {**everything.__dict__}
-    tie.batch = pack(IEZ, everything.cast, [replace(scored, imu=still(scored.imu, [0.0, 0.0, 9.79]))])
+    tie.batch = pack_all(IEZ, everything.cast, [replace(scored, sensors=still(scored.imu, [0.0, 0.0, 9.79]))])
     tie.cast = parameters.with_leaves(everything.cast, {})
     sigma = np.sqrt((9.79 - 9.8029) ** 2 / 1e3)
     for width in (-1e4, float(everything.free["gate.width"][0])):

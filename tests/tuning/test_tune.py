@@ -57,7 +57,7 @@ def tuned(request, walks, other, start):
 
 def loss_of(track, recording):
     score = pedjax.evaluate(track, recording, "yaw_translation")
-    return score.pyshoe_armse_m
+    return score.armse_m
 
 
 def test_tuning_lowers_the_loss_and_reports_it(tuned, walks, other, start):
