@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 import optax
 
 from pedjax import parameters
-from pedjax.ensemble import Problem, losses, walks_for
+from pedjax.ensemble import Problem, walks_for
 from pedjax.errors import InputError
 from pedjax.evaluation.landmarks import ALIGNMENTS
 from pedjax.evaluation.scores import score_kind
@@ -25,8 +26,9 @@ from pedjax.runtime import double_precision
 from pedjax.system import System
 from pedjax.systems import system as find_system
 from pedjax.tuning import objective
+from pedjax.tuning.judging import Judge
 from pedjax.tuning.split import fingerprint, refuse_overlap
-from pedjax.walks import Sensors, Walk, distinct
+from pedjax.walks import Sensors, distinct
 
 Progress = Callable[[int, int, float], None]
 """Called with the iteration, their number, and the best loss so far."""
@@ -113,14 +115,17 @@ def tune(
     with double_precision():
         hard = parameters.cast(gated(params, 0.0), float)
         pack = partial(pack_all, chosen, hard, site=site)
-        everything = pack(walks)
-        search = _Search(problem, settings, specs, hard, walks, training, validation, pack)
+        most = settings.starts * max(settings.grid, 1)
+        judged = Judge(problem, hard, settings.names, pack(walks), most)
+        batches = pack([walks[i] for i in training])
+        search = _Search(problem, settings, specs, hard, judged, batches, (training, validation))
         best = search.run(progress)
         tuned = parameters.with_leaves(params, best)
-        parts = {"tuned_on": (distinct([w.name for w in walks]), everything)}
+        parts = {"tuned_on": (distinct([w.name for w in walks]), judged)}
         if others:
-            parts["held_back"] = (distinct([w.name for w in others]), pack(others))
-        report = partial(_report, problem, settings.names, parts)
+            held = Judge(problem, hard, settings.names, pack(others), 1)
+            parts["held_back"] = (distinct([w.name for w in others]), held)
+        report = partial(_report, settings.names, parts)
         return Tuned(
             params=tuned,
             names=settings.names,
@@ -197,24 +202,38 @@ class _Search:
         settings: TuneSettings,
         specs: Mapping[str, Spec],
         params: Any,
-        walks: Sequence[Walk],
-        training: Sequence[int],
-        validation: Sequence[int],
-        pack: Callable[[Sequence[Walk]], Batches],
+        judged: Judge,
+        batches: Batches,
+        parts: tuple[Sequence[int], Sequence[int]],
     ) -> None:
         self.problem, self.settings, self.specs, self.params = problem, settings, specs, params
         self.soft = parameters.cast(gated(params, settings.width, settings.straight_through), float)
-        self.batch = pack([walks[i] for i in training])
-        self.check = pack([walks[i] for i in validation]) if validation else None
-        self.share = len(training) / len(walks)
+        self.judged, self.batches = judged, batches
+        self.training, self.validation = parts
         self.history: list[dict[str, Any]] = []
         self.runs = {"gradients": 0, "hard": 0}
 
-    def hard_loss(self, values: Mapping[str, Any], batch: Batches) -> np.ndarray:
-        """Hard-gate mean loss `(S,)` of parameter sets."""
-        sets = {k: jnp.asarray(v, float) for k, v in values.items()}
-        each = losses(self.problem, self.params, sets, batch)
-        return np.asarray(jnp.mean(each, axis=-1))
+    def compiled(self, free: Mapping[str, Any]) -> Callable[[dict[str, Any]], dict[str, Any]]:
+        """The gradient by the free numbers, once it and the hard runs are compiled, both at the same time."""
+        reverse = self.settings.mode == "reverse"
+        of = objective.soft_loss_and_gradient if reverse else objective.soft_loss_and_gradient_forward
+
+        def gradient_program() -> Any:
+            with double_precision():  # the choice is each thread's own
+                given = {n: jnp.asarray(x) for n, x in free.items()}
+                return of.lower(self.problem, self.soft, given, self.batches).compile()
+
+        with ThreadPoolExecutor(1) as pool:
+            made = pool.submit(gradient_program)
+            self.judged.compile()
+            program = made.result()
+
+        def gradient(free: dict[str, Any]) -> dict[str, Any]:
+            given = {n: jnp.asarray(x) for n, x in free.items()}
+            found: dict[str, Any] = program(self.soft, given, self.batches)[1]
+            return found
+
+        return gradient
 
     def starts(self) -> dict[str, np.ndarray]:
         """Free numbers of all starts: the first at the given values."""
@@ -238,7 +257,8 @@ class _Search:
             tried = {n: np.repeat(x[:, None], len(offsets), axis=1) for n, x in free.items()}
             tried[name] = tried[name] + offsets
             flat = {n: x.reshape(-1) for n, x in tried.items()}
-            loss = self.hard_loss(self.values(flat), self.batch).reshape(-1, len(offsets))
+            each = self.judged(self.values(flat))[:, self.training]
+            loss = each.mean(axis=1).reshape(-1, len(offsets))
             self.runs["hard"] += loss.size
             best = np.argmin(np.where(np.isfinite(loss), loss, np.inf), axis=1)
             free = {**free, name: tried[name][np.arange(len(best)), best]}
@@ -246,16 +266,13 @@ class _Search:
 
     def run(self, progress: Progress | None) -> dict[str, float]:
         settings = self.settings
-        free = self.grid(self.starts(), width=2.5)
+        free = self.starts()
+        gradient_of = self.compiled(free)
+        free = self.grid(free, width=2.5)
         optimiser = optax.chain(
             _clip_each(settings.clip), optax.adam(settings.learning_rate, b1=0.8, b2=0.95)
         )
         state = optimiser.init({n: jnp.asarray(x) for n, x in free.items()})
-        gradient_of = (
-            objective.soft_loss_and_gradient
-            if settings.mode == "reverse"
-            else objective.soft_loss_and_gradient_forward
-        )
         given = {n: np.array([float(parameters.get(self.params, n))]) for n in self.specs}
         best_loss = float(self._judge(given, iteration=-1)[0])
         best_values = {n: float(x[0]) for n, x in given.items()}
@@ -274,8 +291,7 @@ class _Search:
                     progress(iteration, settings.iterations, best_loss)
                 if stale >= settings.patience or iteration == settings.iterations:
                     break
-            free_now = {n: jnp.asarray(x) for n, x in free.items()}
-            _, gradient = gradient_of(self.problem, self.soft, free_now, self.batch)
+            gradient = gradient_of(free)
             self.runs["gradients"] += settings.starts
             gradient = {n: jnp.where(jnp.isfinite(g), g, 0.0) for n, g in gradient.items()}
             updates, state = optimiser.update(gradient, state)
@@ -286,13 +302,15 @@ class _Search:
 
     def _judge(self, values: Mapping[str, np.ndarray], iteration: int) -> np.ndarray:
         """The loss that selects: hard gate, over training and validation recordings alike."""
-        training = self.hard_loss(values, self.batch)
+        each = self.judged(values)
+        training = each[:, self.training].mean(axis=1)
         row: dict[str, Any] = {"iteration": iteration, "training": training.tolist()}
         loss = training
-        if self.check is not None:
-            validation = self.hard_loss(values, self.check)
+        if len(self.validation):
+            validation = each[:, self.validation].mean(axis=1)
             row["validation"] = validation.tolist()
-            loss = self.share * training + (1 - self.share) * validation
+            share = len(self.training) / each.shape[1]
+            loss = share * training + (1 - share) * validation
         self.runs["hard"] += len(training)
         row["values"] = {n: np.asarray(v).tolist() for n, v in values.items()}
         self.history.append(row)
@@ -310,13 +328,12 @@ def _clip_each(limit: float) -> optax.GradientTransformation:
 
 
 def _report(
-    problem: Problem, names: tuple[str, ...], parts: Mapping[str, tuple[list[str], Batches]], params: Any
+    names: tuple[str, ...], parts: Mapping[str, tuple[list[str], Judge]], params: Any
 ) -> dict[str, dict[str, float]]:
     """Hard-gate loss of every recording."""
-    hard = parameters.cast(gated(params, 0.0), float)
-    values = {n: jnp.asarray([parameters.get(params, n)], float) for n in names}
+    values = {n: np.array([float(parameters.get(params, n))]) for n in names}
     report = {}
-    for part, (labels, batch) in parts.items():
-        each = np.asarray(losses(problem, hard, values, batch)[0])
+    for part, (labels, judged) in parts.items():
+        each = judged(values)[0]
         report[part] = {label: float(x) for label, x in zip(labels, each, strict=True)}
     return report
