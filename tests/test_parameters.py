@@ -3,10 +3,12 @@
 import jax
 import numpy as np
 import pytest
+from jax import Array
 
+import pedjax
 from pedjax import parameters
 from pedjax.errors import InputError
-from pedjax.parameters import Spec
+from pedjax.parameters import Spec, group, leaf, setting
 from pedjax.systems import SYSTEMS
 from tests.tools import LEAVES
 
@@ -113,9 +115,188 @@ def test_table_lists_every_path(params):
 
 
 def test_cast_makes_arrays_of_one_dtype(params):
-    for leaf in jax.tree.leaves(parameters.cast(params, np.float32)):
-        assert leaf.dtype == np.float32
+    for value in jax.tree.leaves(parameters.cast(params, np.float32)):
+        assert value.dtype == np.float32
 
 
 def test_leaves_listed_for_the_tests_are_those_of_iez():
     assert set(LEAVES) == set(parameters.specs(SYSTEMS["iez"].defaults()))
+
+
+# what has an effect
+
+
+def number(value=1.0, **how):
+    return leaf(value, unit="1", low=0.1, high=10.0, source="test", **how)
+
+
+@parameters.parameters
+class Inner:
+    plain: Array = number(tune=True)
+    deep: Array = number(tune=True, when={"mode": "far"})
+    mine: Array = number(when={"own": ("x", "y")})
+    own: str = setting("x", choices=("x", "y", "z"))
+
+
+@parameters.parameters
+class Tree:
+    """`mode` is looked for around the groups, `own` in them, and `on` guards a whole group."""
+
+    first: Array = number(tune=True, point=True)
+    mode: str = setting("near", choices=("near", "far"))
+    on: bool = setting(True)
+    inner: Inner = group(Inner)
+    guarded: Inner = group(Inner, when={"on": True})
+
+
+CASES = {
+    "as made": ({}, {"inner.deep": "mode is 'near'", "guarded.deep": "mode is 'near'"}),
+    "far": ({"mode": "far"}, {}),
+    "any of two": ({"mode": "far", "inner.own": "y"}, {}),
+    "none of two": ({"mode": "far", "inner.own": "z"}, {"inner.mine": "inner.own is 'z'"}),
+    "a group that is off": (
+        {"on": False, "mode": "far", "guarded.own": "z"},
+        {f"guarded.{name}": "on is False" for name in ("plain", "deep", "mine")},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_has_no_effect_says_why(case):
+    changes, idle = CASES[case]
+    tree = parameters.replace(Tree(), changes)
+    every = parameters.specs(tree)
+    assert {p: parameters.idle_because(tree, p) for p in every} == {p: idle.get(p, "") for p in every}
+    assert parameters.active(tree) == every.keys() - idle.keys()
+    wanted = [
+        p for p in ("first", "inner.plain", "inner.deep", "guarded.plain", "guarded.deep") if p not in idle
+    ]
+    assert list(parameters.tunable(tree)) == wanted
+    for path, reason in idle.items():
+        lines = parameters.table(tree).splitlines()
+        row = next(i for i, line in enumerate(lines) if line.startswith(f"{path} "))
+        assert lines[row + 1].strip() == f"[no effect: {reason}]"
+
+
+NOISES = {
+    "updates.zero_velocity", "process.accelerometer", "process.gyroscope", "initial.accelerometer_bias",
+    "initial.gyroscope_bias", "initial.attitude",
+}  # fmt: skip
+ADAPTIVE = {"gate.follow", "gate.follow_time", "gate.growth", "gate.floor"}
+EPS = {"stance.eps.energy", "stance.eps.rate_energy"}
+HEADING = {"compass.noise.floor", "compass.noise.field", "compass.tail", "compass.start_sigma"}
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "wanted"),
+    [
+        ("iez", {}, {"stance.shoe.threshold"}),
+        ("iez", {"stance.detector": "ared"}, {"stance.ared.threshold"}),
+        ("iez", {"stance.detector": "eps", "gate.kind": "adaptive"}, EPS | ADAPTIVE),
+        ("ma2018", {}, {"stance.shoe.threshold", "field.ma.threshold"} | HEADING),
+        ("ma2018", {"field.detector": "magyq"}, {"stance.shoe.threshold", "field.magyq.variance"} | HEADING),
+        (
+            "ma2018",
+            {"field.detector": "vector"},
+            {"stance.shoe.threshold", "field.vector.false_alarm", "field.vector.change"} | HEADING,
+        ),
+    ],
+)
+def test_what_is_tuned_by_default(name, changes, wanted):
+    params = parameters.replace(SYSTEMS[name].defaults(), changes)
+    assert set(parameters.tunable(params)) == wanted | NOISES
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("iez", {"stance.detector": "ared"}),
+        ("ma2018", {"compass.update": "anchored", "compass.reference": "given"}),
+        ("ma2018", {"compass.update": "none", "compass.start": "given", "field.detector": "qsf"}),
+    ],
+)
+def test_what_has_no_effect_changes_no_bit(demos, name, changes):
+    params = parameters.replace(SYSTEMS[name].defaults(), changes)
+    idle = parameters.specs(params).keys() - parameters.active(params)
+    assert idle
+    moved = {p: 0.5 * (s.low + s.high) for p, s in parameters.specs(params).items() if p in idle}
+    one, two = (pedjax.run(demos[2], name, p) for p in (params, parameters.replace(params, moved)))
+    np.testing.assert_array_equal(one.position, two.position)
+    for gate in one.gates:
+        np.testing.assert_array_equal(one.gates[gate].weight, two.gates[gate].weight)
+
+
+def test_groups_of_a_kind_are_found_whatever_their_names():
+    tree = parameters.replace(Tree(), {"guarded.plain": 3.0})
+    assert parameters.groups_of(tree, Inner) == {"inner": tree.inner, "guarded": tree.guarded}
+    assert parameters.groups_of(tree, Tree) == {"": tree}
+    Outer = parameters.grown(Tree, {"more": Tree}, "Outer")
+    assert set(parameters.groups_of(Outer(), Inner)) == {"inner", "guarded", "more.inner", "more.guarded"}
+    assert parameters.groups_of(tree, Spec) == {}
+
+
+def test_a_grown_class_has_further_groups_behind_its_own():
+    Grown = parameters.grown(Inner, {"tree": Tree, "other": Tree}, "Grown", "All of it.")
+    made = Grown()
+    assert (Grown.__name__, Grown.__doc__) == ("Grown", "All of it.")
+    assert isinstance(made, Inner)
+    assert list(parameters.values(made)) == [
+        *parameters.values(Inner()),
+        *(f"{name}.{path}" for name in ("tree", "other") for path in parameters.values(Tree())),
+    ]
+    changed = parameters.replace(made, {"other.inner.plain": 2.0})
+    assert (made.other.inner.plain, changed.other.inner.plain, changed.tree.inner.plain) == (1.0, 2.0, 1.0)
+    doubled = jax.jit(lambda tree: jax.tree.map(lambda x: 2 * x, tree))(changed)
+    assert isinstance(doubled, Grown)
+    assert float(doubled.other.inner.plain) == 4.0
+
+
+@parameters.parameters
+class First:
+    threshold: Array = number(tune=True, point=True)
+
+
+@parameters.parameters
+class Chooser:
+    """Which detector."""
+
+    kind: str = setting("first", choices=("first",), source="test", meaning="which")
+    width: Array = number()
+    first: First = group(First, when={"kind": "first"})
+
+
+@parameters.parameters
+class Second:
+    limit: Array = number(tune=True)
+
+
+@parameters.parameters
+class Better:
+    limit: Array = number(5.0)
+
+
+def test_a_choice_can_be_offered_from_outside():
+    before = Chooser()
+    assert parameters.latest(Chooser) is Chooser
+    parameters.offer(Chooser, "second", Second, "kind")
+    tree = parameters.latest(Chooser)()
+    assert isinstance(tree, Chooser)
+    assert (type(tree).__name__, type(tree).__doc__) == ("Chooser", "Which detector.")
+    about = parameters.choices(tree)["kind"]
+    assert (about.choices, about.source, about.meaning) == (("first", "second"), "test", "which")
+    assert tree.kind == "first"
+    assert parameters.tunable(tree) == ("first.threshold",)
+    assert parameters.idle_because(tree, "second.limit") == "kind is 'first'"
+    chosen = parameters.replace(tree, {"kind": "second", "second.limit": 2.0})
+    assert parameters.tunable(chosen) == ("second.limit",)
+    assert parameters.idle_because(chosen, "first.threshold") == "kind is 'second'"
+    assert len(jax.tree.leaves(chosen)) == 3
+    with pytest.raises(InputError, match="'second' is not a choice"):  # what was made before is as it was
+        parameters.replace(before, {"kind": "second"})
+
+    parameters.offer(Chooser, "second", Better, "kind")
+    parameters.offer(Chooser, "third", Second, "kind")
+    again = parameters.latest(Chooser)()
+    assert parameters.choices(again)["kind"].choices == ("first", "second", "third")
+    assert again.second == Better()
+    assert len(jax.tree.leaves(again)) == 4

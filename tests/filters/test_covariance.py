@@ -42,9 +42,9 @@ def transition(attitude, force_n, dt, noise):
     return covariance.dense_transition(F, force_n[0])
 
 
-def random_spd(rng, lanes=()):
-    """Dense `(15, 15, *L)` with standard deviations over three decades."""
-    a = rng.normal(size=(*lanes, 15, 15)) * np.logspace(-2, 1, 15)[:, None]
+def random_spd(rng, lanes=(), size=15):
+    """Dense `(size, size, *L)` with standard deviations over three decades."""
+    a = rng.normal(size=(*lanes, size, size)) * np.logspace(-2, 1, size)[:, None]
     return np.moveaxis(a @ np.swapaxes(a, -1, -2), (-2, -1), (0, 1))
 
 
@@ -96,11 +96,112 @@ def test_no_time_changes_nothing(rng):
     np.testing.assert_array_equal(covariance.dense(found), P)
 
 
+MADE_UP = {
+    "rotation and bias": (
+        {"e": {"e": "matrix", "b": "matrix"}, "b": {"b": "number"}},
+        ("e",),
+    ),
+    "biases in front": (
+        {"b": {"b": "number"}, "e": {"e": None, "b": "matrix"}},
+        ("b", "e"),
+    ),
+    "numbers and identities": (
+        {"x": {"x": None}, "y": {"y": None, "x": "number"}, "z": {"z": "number"}, "u": {"u": "number"}},
+        ("y", "z"),
+    ),
+    "whole rows": (
+        {
+            "q": {"q": "matrix"},
+            "r": {"q": "number", "r": "number"},
+            "s": {"q": None, "r": "matrix", "s": None},
+        },
+        ("q", "r", "s"),
+    ),
+    "the last copied": ({"p": {"p": "matrix"}, "c": {"p": None}}, ("p",)),
+    "white noise": ({"p": {"p": None, "w": "number"}, "w": {}}, ("w",)),
+}
+"""Transitions by blocks of states that the inertial filter has not, and which have a noise."""
+
+
+def drawn(rng, kind, lanes):
+    """F with blocks of those kinds."""
+    draw = {
+        "matrix": lambda: jnp.asarray(rng.normal(size=(3, 3, *lanes))),
+        "number": lambda: jnp.asarray(rng.uniform(0.5, 1.0, lanes)),
+        None: lambda: None,
+    }
+    return {row: {column: draw[what]() for column, what in of.items()} for row, of in kind.items()}
+
+
+@pytest.mark.parametrize("lanes", [(), (4,), (2, 3)])
+@pytest.mark.parametrize("case", MADE_UP)
+def test_predict_of_any_states_is_f_p_f_transpose_plus_q(rng, case, lanes):
+    kind, noisy = MADE_UP[case]
+    states, size = "".join(kind), 3 * len(kind)
+    P, F = random_spd(rng, lanes, size), drawn(rng, kind, lanes)
+    root = {s: rng.normal(size=(*lanes, 3, 3)) for s in noisy}
+    Q = {s: np.moveaxis(x @ np.swapaxes(x, -1, -2), (-2, -1), (0, 1)) for s, x in root.items()}
+    found = jax.jit(covariance.predict)(blocks(P, states), F, Q)
+    assert found.keys() == blocks(P, states).keys()
+    found = np.asarray(covariance.dense(found, states))
+    whole = np.asarray(covariance.dense_transition(F, jnp.zeros(lanes), states))
+    assert whole.shape == (size, size, *lanes)
+    for lane in np.ndindex(*lanes):
+        at = (slice(None), slice(None), *lane)
+        for i, row in enumerate(states):
+            for j, column in enumerate(states):
+                given = F[row].get(column, 0.0)
+                if kind[row].get(column) == "matrix":
+                    wanted = given[at]
+                else:
+                    number = 1.0 if given is None else np.broadcast_to(given, lanes)[lane]
+                    wanted = number * np.eye(3)
+                np.testing.assert_array_equal(whole[at][3 * i : 3 * i + 3, 3 * j : 3 * j + 3], wanted)
+        expected = whole[at] @ P[at] @ whole[at].T
+        for s, noise in Q.items():
+            own = slice(3 * states.index(s), 3 * states.index(s) + 3)
+            expected[own, own] += noise[at]
+        scaled(found[at], expected, 1e-13)
+    np.testing.assert_array_equal(found, np.swapaxes(found, 0, 1))
+
+
+@pytest.mark.parametrize("case", MADE_UP)
+def test_update_and_downdate_of_any_states(rng, case):
+    states = "".join(MADE_UP[case][0])
+    size = 3 * len(states)
+    P = random_spd(rng, (), size)
+    parts = {states[-1]: rng.normal(size=(2, 3)), states[0]: rng.normal(size=(2, 3))}
+    H = np.zeros((2, size))
+    for s, matrix in parts.items():
+        H[:, 3 * states.index(s) : 3 * states.index(s) + 3] = matrix
+    R, z, weight = np.diag([0.4, 0.7]), rng.normal(size=2), 0.3
+    rows = Rows(jnp.asarray(z), jnp.asarray(R), {s: jnp.asarray(m) for s, m in parts.items()})
+    expected, dx = dense_update(P, H, R, z, weight)
+    seen = covariance.whiten(blocks(P, states), rows, jnp.asarray(weight))
+    for found, correction in (
+        update(blocks(P, states), rows, weight),
+        covariance.downdate(blocks(P, states), seen, jnp.asarray(weight)),
+    ):
+        assert set(covariance.states_of(found)) == set(states)
+        scaled(np.asarray(covariance.dense(found, states)), expected, 1e-10)
+        together = np.concatenate([correction[s] for s in states])
+        np.testing.assert_allclose(together, dx, rtol=1e-9, atol=1e-11)
+        for i, s in enumerate(states):
+            sigma = np.sqrt(np.diag(expected)[3 * i : 3 * i + 3])
+            np.testing.assert_allclose(covariance.sigma(found, s), sigma, rtol=1e-9)
+    assert bool(covariance.is_positive(blocks(P, states)))
+    broken = blocks(P, states)
+    broken[2 * states[-1]] = -broken[2 * states[-1]]
+    assert not bool(covariance.is_positive(broken))
+    nis = float(covariance.normalised_innovation(blocks(P, states), rows))
+    assert nis == pytest.approx(z @ np.linalg.solve(H @ P @ H.T + R, z), rel=1e-9)
+
+
 def dense_update(P, H, R, z, weight):
     """Joseph form with R / w, in float64 and with a solve."""
     noise = R / weight
     K = np.linalg.solve(H @ P @ H.T + noise, H @ P).T
-    A = np.eye(15) - K @ H
+    A = np.eye(len(P)) - K @ H
     return A @ P @ A.T + K @ noise @ K.T, K @ z
 
 
@@ -273,7 +374,7 @@ def test_zero_velocity_shrinks_a_tilt_error_in_every_heading(heading):
             nav, P = carry
             nav, middle, force_n = strapdown.mechanise(nav, GRAVITY * c[2], jnp.zeros(3), 0.01, GRAVITY)
             noise = FOREVER._replace(gyroscope=1e-6, accelerometer=1e-4)
-            P = propagated(P, middle, force_n, 0.01, noise)
+            P = propagated(P, middle, force_n, jnp.asarray(0.01), noise)
             P, correction = covariance.update(P, measurements.zero_velocity(nav, jnp.asarray(1e-3)), 1.0)
             return (measurements.correct(nav, correction), P), None
 

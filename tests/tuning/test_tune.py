@@ -109,6 +109,21 @@ def test_the_winner_is_the_best_that_was_judged(tuned):
     assert calls[-1][2] == pytest.approx(min(judged), rel=1e-12)
 
 
+@pytest.mark.parametrize("rule", ["any", pytest.param("all", marks=pytest.mark.slow)])
+def test_recordings_of_several_rates_are_tuned_at_once(walks, other, start, minute_recording, rule):
+    slow = [each_second(tools.crop(minute_recording, s, f"slow {s:g}")) for s in (10.0, 8.0)]
+    params = parameters.replace(start, {"stance.rule": rule})
+    few = settings(names=NAMES[:1], mode="forward", iterations=1, starts=1, validation=0.0)
+    found = tune([slow[0], walks[0]], few, params=params, held_back=[other, slow[1]])
+    assert list(found.before["tuned_on"]) == [slow[0].name, walks[0].name]
+    assert list(found.before["held_back"]) == [other.name, slow[1].name]
+    for report, at in ((found.before, params), (found.after, found.params)):
+        for recording in (slow[0], walks[0], other, slow[1]):
+            part = report["tuned_on"] | report["held_back"]
+            own = loss_of(pedjax.run(recording, params=at), recording)
+            assert part[recording.name] == pytest.approx(own, abs=1e-9), recording.name
+
+
 @pytest.mark.slow
 def test_recordings_of_one_name_are_each_reported(walks):
     same = [replace(r, name="walk") for r in walks[:2]]
