@@ -82,13 +82,17 @@ def over(system, **changes):
 
 
 def program(system, changes):
-    """What start and step compute, as text; samples too many for an aid are seen in the arguments."""
-    p, inputs = of(system, changes)
-    state = system.start(p, None, inputs.opening)
-    sample = jax.tree.map(lambda x: x[0], inputs.samples)
-    start = jax.make_jaxpr(lambda p, o: system.start(p, None, o))(p, inputs.opening)
+    """What start and step compute, as text; it is only traced."""
+    p = parameters.cast(parameters.replace(system.defaults(), changes), float)
+    inputs = jax.eval_shape(lambda s: system.prepare(p, {"foot": s}, DT, RATE), signals(system.magnetic))
+    sample = jax.eval_shape(lambda samples: jax.tree.map(lambda x: x[0], samples), inputs.samples)
+
+    def start(p, opening):
+        return system.start(p, None, opening)
+
+    state = jax.eval_shape(start, p, inputs.opening)
     step = jax.make_jaxpr(lambda p, *given: system.step(p, None, *given))(p, state, sample)
-    return str(start), str(step)
+    return str(jax.make_jaxpr(start)(p, inputs.opening)), str(step)
 
 
 def test_a_system_has_what_its_aids_have():
