@@ -55,9 +55,9 @@ def inputs(params: Any, length: int, dtype: Any) -> Inputs:
     return jax.jit(lambda f, r, d: IEZ.prepare(params, {"foot": Signals(f, r)}, d, RATE))(*given)
 
 
-def packed(length: int, dtype: Any) -> tuple[Any, Packed]:
-    """Parameters and one recording in one column, scored every 1000 samples."""
-    params = parameters.cast(IEZ.defaults(), dtype)
+def packed(length: int, dtype: Any, **changes: Any) -> tuple[Any, Packed]:
+    """Parameters with changes, and one recording in one column, scored every 1000 samples."""
+    params = parameters.cast(parameters.replace(IEZ.defaults(), changes), dtype)
     chunk = 1 << round(np.log2(length) / 2)
     length = length // chunk * chunk
     slot = np.full((length, 1), -1)

@@ -37,8 +37,7 @@ def single_walk(length: int, dtype: Any) -> float:
 
 def lanes(length: int, width: int, dtype: Any, **changes: Any) -> float:
     """Filter steps/s of `width` parameter sets side by side in one loop."""
-    params, data = packed(length, dtype)
-    params = parameters.cast(parameters.replace(params, changes), dtype)
+    params, data = packed(length, dtype, **changes)
     paths = ("stance.shoe.threshold", "updates.zero_velocity", "process.accelerometer", "process.gyroscope")
     spread = jnp.geomspace(0.5, 2.0, width).astype(dtype)[:, None]
     values = {path: parameters.get(params, path) * spread for path in paths}
