@@ -185,7 +185,7 @@ def test_unknown_coordinates_weigh_nothing():
 
 def test_recordings_of_several_rates_keep_their_order(demos, minute_recording):
     """The rule looks at as many windows as a window has samples: another rate, another tree."""
-    slow = tools.crop(minute_recording, 9.0, "slow")
+    slow = tools.crop(minute_recording, 12.0, "slow")
     params = parameters.cast(tools.iez(stance__rule="any"), float)
     walks = [walk(r) for r in (demos[2], slow, demos[0])]
     assert alike(walks) == [[0, 2], [1]]

@@ -323,7 +323,7 @@ def test_looking_has_finite_slopes_where_nothing_was_seen():
 
     def total(level, still):
         end, _ = watch(Looking(), level, *foot, jnp.full(30, DT), still)
-        return sum(jnp.sum(look.field) + look.yaw for look in end.window) + end.seconds
+        return sum(jnp.sum(look.field) + look.yaw for look in end.window) + end.clock.seconds
 
     level = parameters.cast(Level(), float)
     for still in (jnp.zeros(30), jnp.ones(30)):

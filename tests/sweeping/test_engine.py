@@ -105,13 +105,16 @@ def test_settings_equal_separate_sweeps(walks):
     found = sweep(walks[2:3], values, settings={"stance.detector": ["shoe", "ared"]})
     assert found.settings["stance.detector"] == ["shoe"] * 5 + ["ared"] * 5
     for i, detector in enumerate(["shoe", "ared"]):
-        alone = sweep(walks[2:3], values, params=tools.iez(stance__detector=detector))
+        params = tools.iez(stance__detector=detector)
+        felt = {path: v for path, v in values.items() if not parameters.idle_because(params, path)}
+        assert (THRESHOLD in felt) == (detector == "shoe")
+        alone = sweep(walks[2:3], felt, params=params)
         np.testing.assert_array_equal(found.loss[5 * i : 5 * i + 5], alone.loss)
     assert_equal_single_run(found, 7, 0, walks[2], row(values, 2, **{"stance.detector": "ared"}))
 
 
 def test_recordings_of_several_rates_are_swept_at_once(walks, minute_recording):
-    slow = tools.crop(minute_recording, 9.0, "slow")
+    slow = tools.crop(minute_recording, 12.0, "slow")
     values, settings = sets(3), {"stance.rule": ["any", "all"]}
     found = sweep([walks[2], slow, walks[2]], values, settings=settings)
     assert found.names == ("demo:2", "slow", "demo:2__2")
@@ -279,6 +282,15 @@ def test_wrong_sweeps_are_refused(walks, values, changes, message):
 def test_recordings_without_points_are_refused(walks):
     with pytest.raises(InputError, match="at least two landmarks"):
         sweep([replace(walks[0], landmarks=None, truth=None)], sets(2))
+
+
+def test_what_has_no_effect_under_any_settings_is_refused(walks):
+    with pytest.raises(
+        InputError, match=r"'stance\.shoe\.threshold' has no effect: stance\.detector is 'ared'"
+    ):
+        sweep(walks[2:3], sets(2), params=tools.iez(stance__detector="ared"))
+    with pytest.raises(InputError, match=r"'gate\.follow' has no effect: gate\.kind is 'fixed'"):
+        sweep(walks[2:3], {"gate.follow": np.zeros(2)}, settings={"stance.rule": ["any", "all"]})
 
 
 @pytest.mark.parametrize("path", ["gravty", "gate.kind"])
