@@ -15,7 +15,7 @@ from pedjax import parameters
 from pedjax.errors import InputError
 from pedjax.evaluation.landmarks import onto
 from pedjax.evaluation.scores import score_kind, told_with
-from pedjax.filtering import scan_points
+from pedjax.filtering import Kernel, points, tangent_points
 from pedjax.packing import Batch, Batches
 from pedjax.recording import Clock, Recording
 from pedjax.system import System
@@ -40,31 +40,57 @@ class Scores(NamedTuple):
 
 
 def scores(
-    problem: Problem, params: Any, values: dict[str, Array], batch: Batch, loss_only: bool = False
+    problem: Problem,
+    params: Any,
+    values: dict[str, Array],
+    batch: Batch,
+    loss_only: bool = False,
+    kernel: Kernel = "auto",
 ) -> Scores:
     """Run the sets `values[path] (S,)` over all recordings of the batch, and tell all scores that go with the
-    problem's loss, or `loss_only`; to be jitted by the caller."""
+    problem's loss, or `loss_only`; to be jitted by the caller. Differentiable only where `kernel` is
+    `never`."""
     lanes = {path: value[..., None] for path, value in values.items()}
     chosen = score_kind(problem.loss)
     kinds = (chosen,) if loss_only else told_with(problem.loss)
     keep = tuple(dict.fromkeys(name for kind in kinds for name in kind.keep))
     params = parameters.with_leaves(params, lanes)
-    points = scan_points(problem.system, params, batch.packed, batch.slots, keep)
-    found = batch.estimates(points)
-    reference = onto(batch.reference, points.status.ndim - 1)
+    found_points = points(problem.system, params, batch.packed, batch.slots, keep, kernel)
+    found = batch.estimates(found_points)
+    reference = onto(batch.reference, found_points.status.ndim - 1)
     errors = {kind.name: kind.of(found, reference, problem.alignment) for kind in kinds}
-    return Scores(errors, batch.status(points), batch.gates(points))
+    return Scores(errors, batch.status(found_points), batch.gates(found_points))
 
 
-@partial(jax.jit, static_argnames="problem")
-def losses(problem: Problem, params: Any, values: dict[str, Array], batches: Batches) -> Array:
+@partial(jax.jit, static_argnames=("problem", "kernel"))
+def losses(
+    problem: Problem, params: Any, values: dict[str, Array], batches: Batches, kernel: Kernel = "never"
+) -> Array:
     """Loss of each recording for parameter sets `values[path] (S,)`: `(S, R)`, inf where unhealthy."""
     each = []
     for batch in batches.parts:
-        found = scores(problem, params, values, batch, loss_only=True)
+        found = scores(problem, params, values, batch, loss_only=True, kernel=kernel)
         value = found.errors[problem.loss]
         each.append(jnp.where((found.status == 0) & jnp.isfinite(value), value, jnp.inf))
     return batches.joined(each)
+
+
+def losses_along(
+    problem: Problem, params: Any, values: dict[str, Array], moves: dict[str, Array], batch: Batch
+) -> tuple[Array, Array]:
+    """Loss `(S, R)` of parameter sets, inf where unhealthy, and its slope as `values[path] (S,)` move by
+    `moves[path] (S,)`: tangents beside the states."""
+    kind = score_kind(problem.loss)
+    sets = parameters.with_leaves(params, {path: x[..., None] for path, x in values.items()})
+    along = {path: x[..., None] for path, x in moves.items()}
+    found, moved = tangent_points(problem.system, sets, along, batch.packed, batch.slots, kind.keep)
+    reference = onto(batch.reference, found.status.ndim - 1)
+
+    def loss(kept: dict[str, Array]) -> Array:
+        return kind.of(batch.estimates(found._replace(kept=kept)), reference, problem.alignment)
+
+    value, slope = jax.jvp(loss, (found.kept,), (moved,))
+    return jnp.where((batch.status(found) == 0) & jnp.isfinite(value), value, jnp.inf), slope
 
 
 _KNOWN = {"xy": (2, "x and y"), "xyz": (3, "x, y and z")}

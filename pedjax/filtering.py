@@ -8,16 +8,23 @@ the few samples of a chunk that it looks at.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple
+from functools import cache, partial
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
+from pedjax.kernels.columns import Columns, Layout, on_gpu, rows_of, walk
+from pedjax.kernels.tangents import Dual, tangents
+from pedjax.kernels.unroll import CannotUnrollError
 from pedjax.lanes import align, lane_shape
+from pedjax.parameters import with_leaves
 from pedjax.system import Output, System
+
+Kernel = Literal["auto", "never", "interpreted"]
 
 
 def scan(
@@ -68,6 +75,122 @@ def starts_of(system: System, parameters: Any, packed: Packed) -> Any:
     state = system.start(parameters, packed.site, packed.openings)
     lanes = lane_shape(parameters, jnp.zeros(jax.tree.leaves(packed.openings)[0].shape[-1]))
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (*x.shape[: x.ndim - len(lanes)], *lanes)), state)
+
+
+def points(
+    system: System,
+    parameters: Any,
+    packed: Packed,
+    slots: int,
+    keep: tuple[str, ...] = ("position",),
+    kernel: Kernel = "auto",
+) -> Points:
+    """The chosen fields of the estimate at the chosen samples only, for any number of lanes: by one kernel
+    made from the step where there is a GPU and the step allows it, else by `scan_points`. Not differentiable
+    where it is a kernel.
+
+    `kernel` is `auto`, `never`, or `interpreted`, which runs the kernel on any device, slowly.
+    """
+    if kernel == "interpreted" or (kernel == "auto" and on_gpu()):
+        try:
+            return _kernel_points(system, parameters, packed, slots, keep, kernel == "interpreted")
+        except CannotUnrollError as error:
+            _say_once(system.name, str(error))
+    return scan_points(system, parameters, packed, slots, keep)
+
+
+@cache
+def _say_once(system: str, why: str) -> None:
+    warnings.warn(
+        f"system '{system}': {why}; it runs on the GPU as a scan, many times slower than as a kernel",
+        stacklevel=4,
+    )
+
+
+def _kernel_points(
+    system: System,
+    parameters: Any,
+    packed: Packed,
+    slots: int,
+    keep: tuple[str, ...],
+    interpret: bool,
+    layout: Layout | None = None,
+) -> Points:
+    chunks = packed.which.shape[0]
+    shape = lane_shape(parameters, jnp.zeros(packed.which.shape[1]))
+    starts = starts_of(system, parameters, packed)
+    if len(shape) == 1:  # no parameter has lanes: one set
+        starts = jax.tree.map(lambda x: x[..., None, :], starts)
+    found = walk(
+        _advance(system, packed.site, keep),
+        parameters,
+        starts,
+        Columns(packed.samples, packed.which, rows_of(packed.slot, chunks, slots)),
+        chunks * slots,
+        layout,
+        interpret,
+        (lambda p, opening: system.start(p, packed.site, opening), packed.openings),
+    )
+    kept = jax.tree.map(lambda x: x.reshape(chunks, slots, *x.shape[1:]), found.kept)
+    points = Points(kept, found.sums, found.status)
+    return points if len(shape) == 2 else jax.tree.map(lambda x: x[..., 0, :], points)
+
+
+def _advance(system: System, site: Any, keep: tuple[str, ...]) -> Any:
+    """A system's step with what is kept of it, as kernels take it."""
+
+    def advance(parameters: Any, state: Any, sample: Any) -> tuple[Any, Any, Any, Array]:
+        state, output = system.step(parameters, site, state, sample)
+        kept = {name: getattr(output.estimate, name) for name in keep}
+        return state, kept, {name: gate.weight for name, gate in output.gates.items()}, output.status
+
+    return advance
+
+
+def tangent_points(
+    system: System,
+    parameters: Any,
+    directions: dict[str, Array],
+    packed: Packed,
+    slots: int,
+    keep: tuple[str, ...] = ("position",),
+    kernel: Kernel = "auto",
+) -> tuple[Points, dict[str, Array]]:
+    """`points`, and how what is kept moves as the parameters at the paths of `directions` move by them: one
+    direction a lane, `(S, 1)`, carried forward beside the state. The second is like `Points.kept`."""
+
+    def tangents_of(tree: Any, moves: dict[str, Array]) -> Any:
+        return with_leaves(jax.tree.map(jnp.zeros_like, tree), moves)
+
+    if not (kernel == "interpreted" or (kernel == "auto" and on_gpu())):
+        run = partial(scan_points, system, packed=packed, slots=slots, keep=keep)
+        found, moved = jax.jvp(run, (parameters,), (tangents_of(parameters, directions),))
+        return found, moved.kept
+    chunks = packed.which.shape[0]
+    none = jax.tree.map(lambda x: None, parameters)
+    both = Dual(parameters, with_leaves(none, directions))
+
+    def start(given: Dual, opening: Any) -> Dual:
+        def one(p: Any) -> Any:
+            return system.start(p, packed.site, opening)
+
+        moved = jax.tree.map(lambda x, dx: jnp.zeros_like(x) if dx is None else dx, given.value, given.slope)
+        return Dual(*jax.jvp(one, (given.value,), (moved,)))
+
+    whole = partial(starts_of, system, packed=packed)
+    states = Dual(*jax.jvp(whole, (parameters,), (tangents_of(parameters, directions),)))
+    walked = walk(
+        tangents(_advance(system, packed.site, keep)),
+        both,
+        states,
+        Columns(packed.samples, packed.which, rows_of(packed.slot, chunks, slots)),
+        chunks * slots,
+        Layout(32, 1),
+        kernel == "interpreted",
+        (start, packed.openings),
+    )
+    kept = jax.tree.map(lambda x: x.reshape(chunks, slots, *x.shape[1:]), walked.kept)
+    return Points(kept.value, walked.sums.value, walked.status), kept.slope
 
 
 def scan_points(

@@ -32,9 +32,9 @@ class Batch:
     """Recordings packed for `filtering.scan_points`, and how to read its `Points` back.
 
     `reference` has lanes `(R,)` for R recordings and K rows, padded; `rows (K, R)` and `columns (R,)` say
-    where each point comes out; `first`, `last (R,)` are the chunks in which each recording begins and ends,
-    and `samples (R,)` its length. Shapes come in few sizes, so that another recording of about the same
-    length compiles nothing. All recordings of a batch have one sampling rate, in whole Hz.
+    where each point comes out (−1: padding); `first`, `last (R,)` are the chunks in which each recording
+    begins and ends, and `samples (R,)` its length. Shapes come in few sizes, so that another recording of
+    about the same length compiles nothing. All recordings of a batch have one sampling rate, in whole Hz.
     """
 
     slots: int
@@ -56,7 +56,9 @@ class Batch:
 
         def at_points(x: Array) -> Array:
             flat = x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])
-            return jnp.moveaxis(jnp.moveaxis(flat, -1, 1)[self.rows, self.columns], 1, -1)
+            found = jnp.moveaxis(jnp.moveaxis(flat, -1, 1)[jnp.maximum(self.rows, 0), self.columns], 1, -1)
+            there = (self.rows >= 0).reshape(len(self.rows), *(1,) * (found.ndim - 2), -1)
+            return jnp.where(there, found, 0.0)  # a row that no sample has may hold anything
 
         return {name: at_points(x) for name, x in points.kept.items()}
 
@@ -178,7 +180,7 @@ def _slots(
     slot = np.full(shape, -1)
     used = np.zeros((shape[0] // chunk, shape[1]), int)
     most = _rows(walks)
-    in_chunk, slot_of = np.zeros((most, len(walks)), int), np.zeros((most, len(walks)), int)
+    in_chunk, slot_of = np.zeros((most, len(walks)), int), np.full((most, len(walks)), -1)
     for r, w in enumerate(walks):
         sample, inverse = np.unique(first[r] * chunk + w.index, return_inverse=True)
         for s in sample:
@@ -187,7 +189,7 @@ def _slots(
         in_chunk[: len(w.index), r] = sample[inverse] // chunk
         slot_of[: len(w.index), r] = slot[sample, column[r]][inverse]
     slots = bucket(max(int(used.max()), 1))
-    return slot, slots, in_chunk * slots + slot_of
+    return slot, slots, np.where(slot_of >= 0, in_chunk * slots + slot_of, -1)
 
 
 def _reference(walks: Sequence[Walk], dtype: Any) -> Reference:

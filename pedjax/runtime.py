@@ -181,20 +181,27 @@ def available_cores() -> int:
 
 
 def lane_count(dtype: jnp.dtype, platform_name: str | None = None) -> int:
-    """How many runs to put side by side in one loop of the filter.
+    """How many runs to put side by side in one loop of the filter, or one kernel.
 
     On a CPU as many as fill one vector register: a step then has no loop over lanes left, and its state
     stays in the nearest cache (`python -m benchmarks` draws the rate against this number). Without the fast
-    options every kernel of a step is dispatched by itself, which more lanes share. A GPU wants thousands.
+    options every kernel of a step is dispatched by itself, which more lanes share. A GPU is full with several
+    warps on each of its hundred and some processors.
     """
     where = platform_name or jax.default_backend()
     if where != "cpu":
-        return 8192
+        return 65536
     flags = os.environ.get("XLA_FLAGS", "")
     if _WHOLE_LOOP not in flags:
         return 64
     register = 64 if _WIDE_CPU in flags else 32
     return register // jnp.dtype(dtype).itemsize
+
+
+def steps_in_a_part(platform_name: str | None = None) -> int:
+    """Filter steps that a sweep computes between two looks at the clock, at the keyboard and at the disk:
+    about a second's worth, by the kind of device alone."""
+    return 50_000_000 if (platform_name or jax.default_backend()) == "cpu" else 4_000_000_000
 
 
 def _started() -> bool:

@@ -21,7 +21,7 @@ from pedjax.evaluation.landmarks import ALIGNMENTS
 from pedjax.evaluation.scores import score_kind, told_with
 from pedjax.packing import Batch, alike, chunk_of, pack, sizes_of
 from pedjax.recording import Clock, Recording
-from pedjax.runtime import lane_count
+from pedjax.runtime import lane_count, steps_in_a_part
 from pedjax.shapes import columns_of, padded
 from pedjax.sweeping.designs import Design, with_settings
 from pedjax.systems import system as find_system
@@ -29,9 +29,6 @@ from pedjax.walks import Sensors, Walk, check_walk, distinct, sensor_names
 
 _SAMPLES_AT_ONCE = 8_000_000
 """Samples of recordings on a device at a time (half a GiB): more are swept in parts, one after the other."""
-
-_STEPS_IN_A_PART = 50_000_000
-"""Filter steps computed between two looks at the clock, at the keyboard and at the disk: about a second."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +91,9 @@ class Job:
 
     @property
     def part(self) -> int:
-        """Parameter sets in a part: a matter of the recordings alone, so that every machine and any number
-        of devices cut the same sweep into the same parts."""
-        sets = max(_STEPS_IN_A_PART // self.samples, 1)
+        """Parameter sets in a part: a matter of the recordings and the kind of device alone, so that every
+        machine of a kind and any number of its devices cut the same sweep into the same parts."""
+        sets = max(steps_in_a_part() // self.samples, 1)
         return sets if sets < 64 else sets // 64 * 64
 
 

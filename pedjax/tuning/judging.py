@@ -22,7 +22,7 @@ def _blocks(problem: Problem, params: Any, values: dict[str, Array], used: Array
 
     def one(i: Array, whole: Array) -> Array:
         block = jax.tree.map(lambda x: x[i], values)
-        return whole.at[i].set(losses(problem, params, block, batches))
+        return whole.at[i].set(losses(problem, params, block, batches, "auto"))
 
     blocks, sets = next(iter(values.values())).shape
     empty = jnp.zeros((blocks, sets, len(batches.order)), batches.parts[0].samples.dtype)
