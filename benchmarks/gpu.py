@@ -9,12 +9,11 @@ import shutil
 import subprocess
 import tempfile
 import time
-import traceback
-import warnings
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,9 +32,14 @@ from pedjax.walks import Walk
 Row = tuple[str, str]
 
 
-def wall(work: Callable[[], Any], repeats: int = 3) -> float:
-    """Least wall time of a few runs, after one that compiles."""
-    return cases.best_of(work, repeats, wall=True)
+class Case(NamedTuple):
+    """Something to measure: `make()` gives the work, whose first run compiles; `told(seconds)` says what came
+    of the least wall time of its runs."""
+
+    title: str
+    make: Callable[[], Callable[[], Any]]
+    told: Callable[[float], str]
+    double: bool = False
 
 
 def batch_of(name: str, length: int, dtype: Any) -> tuple[Any, Batch]:
@@ -55,80 +59,138 @@ def lanes_of(params: Any, count: int, dtype: Any) -> Any:
     return parameters.with_leaves(params, {k: jnp.asarray(v, dtype)[:, None] for k, v in drawn.items()})
 
 
-def rate(name: str, lanes: int, length: int, dtype: Any, kernel: str, layout: Layout | None = None) -> float:
-    """Filter steps/s of that many parameter sets side by side over one walk, positions kept where scored."""
+def rate(
+    name: str, lanes: int, dtype: str, kernel: str, layout: Layout | None = None, length: int = 2048
+) -> Case:
+    """That many parameter sets side by side over one walk, positions kept where scored."""
     system = SYSTEMS[name]
-    params, batch = batch_of(name, length, dtype)
-    sets = lanes_of(params, lanes, dtype)
 
-    @jax.jit
-    def go(sets: Any, packed: Any) -> Any:
-        if layout is None:
-            return filtering.points(system, sets, packed, batch.slots, kernel=kernel)  # type: ignore[arg-type]
-        keep = ("position",)
-        return filtering._kernel_points(system, sets, packed, batch.slots, keep, False, layout)
+    def make() -> Callable[[], Any]:
+        params, batch = batch_of(name, length, jnp.dtype(dtype))
+        sets = lanes_of(params, lanes, jnp.dtype(dtype))
 
-    return batch.packed.slot.shape[0] * lanes / wall(lambda: go(sets, batch.packed))
+        @jax.jit
+        def go(sets: Any, packed: Any) -> Any:
+            if layout is None:
+                return filtering.points(system, sets, packed, batch.slots, kernel=kernel)  # type: ignore[arg-type]
+            return filtering._kernel_points(system, sets, packed, batch.slots, ("position",), False, layout)
+
+        return lambda: go(sets, batch.packed)
+
+    how = (
+        "scan"
+        if kernel == "never"
+        else "kernel"
+        if layout is None
+        else f"kernel {layout.block}/{layout.warps}"
+    )
+    title = f"{how} {name} {dtype}, {lanes:,} lanes"
+    return Case(title, make, lambda s: f"{length * lanes / s / 1e6:,.0f} M steps/s", dtype == "float64")
 
 
-def agreement(name: str, dtype: Any) -> str:
-    """How far the kernel is from the scan, over two demo walks in two columns."""
+def agreement(name: str, dtype: str) -> Case:
+    """How far the kernel on this device is from the scan on the CPU, three demo walks in two columns."""
     from pedjax.walks import walk
 
+    found: dict[str, Any] = {}
     system = SYSTEMS[name]
-    params = parameters.cast(system.defaults(), dtype)
-    walks = [walk(pedjax.read(f"demo:{seed}"), needs=system.needs) for seed in (1, 2, 3)]
-    batch = pack(system, params, walks, dtype, most_columns=2)
-    sets = lanes_of(params, 40, dtype)
-    found = [
-        jax.jit(partial(_estimates, system, batch.slots, kernel))(sets, batch) for kernel in ("auto", "never")
-    ]
-    (a, x, s), (b, y, t) = found
-    size = float(jnp.max(jnp.abs(b)))
-    gates = max(float(jnp.max(jnp.abs(x[k] - y[k]))) for k in y)
-    return (
-        f"position {float(jnp.max(jnp.abs(a - b))):.1e} of {size:.0f} m, gates {gates:.1e}, "
-        f"status {'equal' if bool((s == t).all()) else 'DIFFERS'}"
-    )
+
+    def make() -> Callable[[], Any]:
+        params = parameters.cast(system.defaults(), jnp.dtype(dtype))
+        walks = [walk(pedjax.read(f"demo:{seed}"), needs=system.needs) for seed in (1, 2, 3)]
+        batch = pack(system, params, walks, jnp.dtype(dtype), most_columns=2)
+        sets = lanes_of(params, 40, jnp.dtype(dtype))
+        here, there = jax.devices()[0], jax.devices("cpu")[0]
+
+        def both() -> None:
+            for kernel, device in (("auto", here), ("never", there)):
+                given = jax.device_put((sets, batch), device)
+                found[kernel] = jax.jit(partial(_estimates, system, kernel))(*given)
+
+        return both
+
+    def told(seconds: float) -> str:
+        (a, x, s), (b, y, t) = (jax.tree.map(np.asarray, found[k]) for k in ("auto", "never"))
+        gates = max(float(np.max(np.abs(x[k] - y[k]))) for k in y)
+        away = float(np.max(np.abs(a - b)))
+        same = "equal" if (s == t).all() else "DIFFERS"
+        return f"position {away:.1e} of {np.abs(b).max():.0f} m, mean gates {gates:.1e}, status {same}"
+
+    return Case(f"agreement {name} {dtype}", make, told, dtype == "float64")
 
 
-def _estimates(system: Any, slots: int, kernel: Any, sets: Any, batch: Batch) -> Any:
-    found = filtering.points(system, sets, batch.packed, slots, kernel=kernel)
+def _estimates(system: Any, kernel: Any, sets: Any, batch: Batch) -> Any:
+    found = filtering.points(system, sets, batch.packed, batch.slots, kernel=kernel)
     return batch.estimates(found)["position"], batch.gates(found), batch.status(found)
 
 
-def sweep_rate(name: str, count: int, seconds: float, dtype: str = "float32") -> str:
-    """A sweep end to end, scores and all, after compilation."""
+def sweep_rate(name: str, count: int, dtype: str = "float32") -> Case:
+    """A sweep end to end, from parameter sets to a table of scores, over a demo walk."""
     from pedjax.sweeping.engine import Engine, job
 
-    with jax.enable_x64(dtype == "float64"):
-        recording = pedjax.read("demo:1")
+    size: dict[str, int] = {}
+
+    def make() -> Callable[[], Any]:
         system = SYSTEMS[name]
-        work = job([recording], system)
+        work = job([pedjax.read("demo:1")], system)
         values = pedjax.design(system.defaults(), RANGES, count, "random")
         part = min(count, work.part)
+        size["steps"] = count * work.samples
         engine = Engine(work, part)
         parts = [{k: v[i : i + part] for k, v in values.items()} for i in range(0, count, part)]
-        engine.run({}, parts[0])
-        start = time.perf_counter()
-        for each in parts:
-            engine.run({}, each)
-        taken = time.perf_counter() - start
-    steps = count * work.samples / taken / 1e6
-    return f"{steps:,.0f} M steps/s ({count:,} sets, {taken:.2f} s, parts of {part:,})"
+        return lambda: [engine.run({}, each) for each in parts]
+
+    title = f"sweep {name} {dtype}, {count:,} sets"
+
+    def told(seconds: float) -> str:
+        return f"{size['steps'] / seconds / 1e6:,.0f} M steps/s, {seconds:.2f} s"
+
+    return Case(title, make, told, dtype == "float64")
 
 
-def vicon(folder: Path) -> str:
-    """Eighteen thresholds over all trials, from recordings to a table, after compilation."""
-    recordings = [pedjax.read(path) for path in sorted(folder.glob("*.mat*"))]
-    thresholds = {"stance.shoe.threshold": np.geomspace(1e6, 5e8, 18)}
-    taken = []
-    for _ in range(3):
-        start = time.perf_counter()
-        found = pedjax.sweep(recordings, thresholds)
-        taken.append(time.perf_counter() - start)
-    best = found.mean[found.best]
-    return f"{len(recordings)} trials: first {taken[0]:.1f} s, then {min(taken[1:]):.2f} s, best {best:.4f} m"
+def vicon(folder: Path) -> Case:
+    """Eighteen thresholds over all trials, from recordings to a table of errors."""
+    found: dict[str, Any] = {}
+
+    def make() -> Callable[[], Any]:
+        recordings = [pedjax.read(path) for path in sorted(folder.glob("*.mat*"))]
+        thresholds = {"stance.shoe.threshold": np.geomspace(1e6, 5e8, 18)}
+
+        def work() -> None:
+            found["sweep"] = pedjax.sweep(recordings, thresholds)
+
+        return work
+
+    def told(seconds: float) -> str:
+        result = found["sweep"]
+        return f"{len(result.names)} trials in {seconds:.3f} s, best mean {result.mean[result.best]:.4f} m"
+
+    return Case("18 thresholds x Vicon trials", make, told)
+
+
+def gradient(mode: str, dtype: str, folder: Path, starts: int = 64, trials: int = 19) -> Case:
+    """One gradient by twelve parameters of so many starts over so many Vicon trials."""
+    from benchmarks.filters import TUNED
+    from pedjax.ensemble import Problem, walks_for
+    from pedjax.packing import pack_all
+    from pedjax.tuning import objective
+    from pedjax.tuning.loop import gated
+
+    def make() -> Callable[[], Any]:
+        system = SYSTEMS["iez"]
+        params = parameters.cast(gated(system.defaults(), 0.25), jnp.dtype(dtype))
+        recordings = [pedjax.read(path) for path in sorted(folder.glob("*.mat*"))[:trials]]
+        walks = walks_for(system, params, recordings, None, None, "armse")
+        batches = pack_all(system, params, walks, jnp.dtype(dtype))
+        specs = parameters.specs(params)
+        centre = {n: float(specs[n].to_free(parameters.get(params, n))) for n in TUNED}
+        spread = np.random.default_rng(0).normal(size=(len(TUNED), starts)) * 0.1
+        free = {n: jnp.asarray(x + c, dtype) for (n, c), x in zip(centre.items(), spread, strict=True)}
+        problem = Problem(system, "armse", "yaw_translation")
+        return lambda: objective.GRADIENTS[mode](problem, params, free, batches)
+
+    title = f"gradient {mode} {dtype}, 12 parameters, {starts} starts, {trials} trials"
+    return Case(title, make, lambda s: f"{s:.3f} s", dtype == "float64")
 
 
 def limit(source: Path, lanes: int = 65536, length: int = 2000) -> str:
@@ -152,86 +214,64 @@ def limit(source: Path, lanes: int = 65536, length: int = 2000) -> str:
     return done.stdout.strip()
 
 
-def gradient(starts: int, length: int, count: int = 12) -> str:
-    """Reverse mode over a scan against forward tangents in a kernel: seconds for one gradient."""
-    from benchmarks.filters import TUNED
-    from pedjax.ensemble import Problem
-    from pedjax.packing import Batches
-    from pedjax.tuning import objective
-    from pedjax.tuning.loop import gated
-
-    found = []
-    for dtype, mode in (("float64", "reverse"), ("float64", "forward"), ("float32", "forward")):
-        with jax.enable_x64(dtype == "float64"):
-            system = SYSTEMS["iez"]
-            kind = jnp.dtype(dtype)
-            params, batch = batch_of("iez", length, kind)
-            params = parameters.cast(gated(params, 0.25), kind)
-            specs = parameters.specs(params)
-            free = {
-                n: jnp.full(starts, specs[n].to_free(parameters.get(params, n)), kind) for n in TUNED[:count]
-            }
-            batches = Batches((batch,), jnp.zeros(1, int))
-            problem = Problem(system, "armse", "yaw_translation")
-            of = objective.GRADIENTS[mode]
-            taken = wall(lambda of=of, p=problem, q=params, f=free, b=batches: of(p, q, f, b), 2)
-        found.append(f"{mode} {dtype} {taken:.2f} s")
-    return ", ".join(found)
+def cases_of(quick: bool, folder: Path | None) -> list[Case]:
+    """What is measured, the most telling first."""
+    systems = ("iez", "ma2018")
+    found = [agreement("iez", "float32"), *(sweep_rate(name, 65536) for name in systems)]
+    found += [rate(name, 65536, "float32", "auto") for name in systems]
+    if folder is not None:
+        found += [vicon(folder), *(gradient("forward", kind, folder) for kind in ("float64", "float32"))]
+    found += [rate("iez", 65536, "float32", "auto", layout) for layout in (Layout(32, 1), Layout(128, 4))]
+    found += [agreement("ma2018", "float32"), agreement("iez", "float64"), sweep_rate("iez", 1_000_000)]
+    found += [rate(name, 65536, "float64", "auto") for name in systems]
+    found += [rate("iez", 262144, "float32", "auto"), rate("iez", 65536, "float32", "never")]
+    found += [rate("ma2018", 65536, "float32", "auto", layout) for layout in (Layout(32, 1), Layout(128, 4))]
+    found += [rate("iez", 8192, "float32", "auto"), agreement("ma2018", "float64")]
+    if folder is not None:
+        found += [gradient("reverse", "float64", folder)]
+    return found[: 8 if quick else None]
 
 
 def measure(
-    quick: bool = False, vicon_folder: Path | None = None, limit_source: Path | None = None
+    quick: bool = False,
+    folder: Path | None = None,
+    source: Path | None = None,
+    seconds: float = 1e9,
+    workers: int = 1,
 ) -> list[Row]:
-    """All of it, in order of importance; a case that fails says why and does not stop the rest."""
-    device = jax.devices()[0]
+    """Measure what fits into so many seconds; a case that fails says why and does not stop the rest. With
+    several `workers` programs are compiled beside each other, and timed alone."""
+    began, device = time.perf_counter(), jax.devices()[0]
     rows: list[Row] = [("device", f"{device.device_kind}, jax {jax.__version__}")]
+    if source is not None:
+        rows.append(("hand-written kernel", limit(source)))
+    print(*(": ".join(row) for row in rows), sep="\n", flush=True)
 
-    def add(title: str, work: Callable[[], str]) -> None:
-        start = time.perf_counter()
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error", UserWarning)
-                found = work()
-        except Exception as error:
-            found = f"FAILED {type(error).__name__}: {str(error)[:300]}"
-            traceback.print_exc(limit=-4)
-        rows.append((title, f"{found}   [{time.perf_counter() - start:.0f} s]"))
-        print(*rows[-1], sep=": ", flush=True)
+    def compiled(case: Case) -> Callable[[], Any]:
+        with jax.enable_x64(case.double):
+            work = case.make()
+            jax.block_until_ready(work())
+            return work
 
-    for name in ("iez", "ma2018"):
-        for kind in (jnp.float32, jnp.float64):
-            with jax.enable_x64(kind == jnp.float64):
-                add(f"agreement {name} {jnp.dtype(kind).name}", partial(agreement, name, kind))
-    length = 2048
+    def left() -> float:
+        return max(seconds - (time.perf_counter() - began), 0.0)
 
-    def steps(*given: Any) -> str:
-        return f"{rate(*given) / 1e6:,.0f} M steps/s"
-
-    for name in ("iez", "ma2018"):
-        for lanes in (8192, 65536) if quick else (8192, 65536, 262144):
-            add(
-                f"kernel {name} float32, {lanes:,} lanes",
-                partial(steps, name, lanes, length, jnp.float32, "auto"),
-            )
-        for tile in (Layout(32, 1), Layout(128, 4)):
-            given = (name, 65536, length, jnp.float32, "auto", tile)
-            add(
-                f"kernel {name} float32, 65,536 lanes, {tile.block} in {tile.warps} warps",
-                partial(steps, *given),
-            )
-        add(f"scan {name} float32, 65,536 lanes", partial(steps, name, 65536, length, jnp.float32, "never"))
-        with jax.enable_x64(True):
-            add(
-                f"kernel {name} float64, 65,536 lanes",
-                partial(steps, name, 65536, length, jnp.float64, "auto"),
-            )
-    for name in ("iez", "ma2018"):
-        add(f"sweep {name}, 65,536 sets", partial(sweep_rate, name, 65536, 60.0))
-    if not quick:
-        add("sweep iez, 1,000,000 sets", partial(sweep_rate, "iez", 1_000_000, 60.0))
-    if vicon_folder is not None:
-        add("18 thresholds x Vicon trials", partial(vicon, vicon_folder))
-    if limit_source is not None:
-        add("hand-written kernel", partial(limit, limit_source))
-    add("gradient, 12 parameters, 64 starts", partial(gradient, 64, 8192))
+    todo = cases_of(quick, folder)
+    pool = ThreadPoolExecutor(workers)
+    for first in range(0, len(todo), workers):
+        group = [(case, pool.submit(compiled, case)) for case in todo[first : first + workers]]
+        wait([made for _, made in group], timeout=left())
+        for case, made in group:
+            try:
+                work = made.result(timeout=0)
+                with jax.enable_x64(case.double):
+                    found = case.told(cases.best_of(work, 2, wall=True))
+            except Exception as error:
+                made.cancel()
+                found = f"FAILED {type(error).__name__}: {str(error)[:200]}"
+            rows.append((case.title, found))
+            print(f"{case.title}: {found}   [{time.perf_counter() - began:.0f} s]", flush=True)
+        if left() == 0:
+            break
+    pool.shutdown(wait=False, cancel_futures=True)
     return rows
