@@ -23,10 +23,16 @@ class Labels(NamedTuple):
     known: np.ndarray
 
 
-def still_labels(recording: Recording, imu: Inertial, below: float = 0.1, smooth_s: float = 0.025) -> Labels:
-    """Still where the true speed is below `below` m/s, from central differences of the dense truth smoothed
-    over `smooth_s`. Unknown outside the truth and in its gaps."""
-    truth = recording.truth
+def still_labels(
+    recording: Recording,
+    imu: Inertial,
+    below: float = 0.1,
+    smooth_s: float = 0.025,
+    sensor: str | None = None,
+) -> Labels:
+    """Still where the true speed of the sensor is below `below` m/s, from central differences of
+    its dense truth smoothed over `smooth_s`. Unknown outside the truth and in its gaps."""
+    truth = recording.truth_of(sensor)
     if truth is None:
         raise InputError(f"{recording.name}: an ROC needs dense truth to label stance; it has none")
     good = np.isfinite(truth.position).all(axis=1) & (np.diff(truth.time, prepend=-np.inf) > 0)

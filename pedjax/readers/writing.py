@@ -15,7 +15,7 @@ import numpy as np
 import tomli_w
 
 from pedjax.errors import InputError
-from pedjax.recording import Recording, Stream
+from pedjax.recording import Recording, Stream, Truth
 
 _UNITS = {"accelerometer": "m/s^2", "gyroscope": "rad/s", "magnetometer": "uT"}
 
@@ -49,15 +49,13 @@ def write_csv(recording: Recording, path: str | PathLike[str]) -> Path:
                 }
         top["sensors"][name] = entry
     if recording.truth is not None:
-        truth = recording.truth
-        top["truth"] = {
-            "time": columns.clock(truth.time),
-            "position": {"columns": columns.add("truth", "xyz", truth.position), "unit": "m"},
-        }
-        if truth.quaternion is not None:
-            names = columns.add("truth_quaternion", "wxyz", truth.quaternion)
-            top["truth"]["quaternion"] = {"columns": names, "order": "wxyz"}
+        top["truth"] = _truth(columns, recording.truth, "truth")
+    if recording.truths:
+        further = recording.truths.items()
+        top["truths"] = {name: _truth(columns, truth, f"{name}_truth") for name, truth in further}
     if recording.landmarks is not None:
+        if recording.landmarks.sensor is not None:
+            top["landmarks_sensor"] = recording.landmarks.sensor
         marks = zip(recording.landmarks.time.tolist(), recording.landmarks.position.tolist(), strict=True)
         top["landmarks"] = [{"time": time, "position": position} for time, position in marks]
     sidecar = path.with_name(path.name + ".toml")
@@ -65,6 +63,17 @@ def write_csv(recording: Recording, path: str | PathLike[str]) -> Path:
     _replace(path, gzip.compress(data, mtime=0) if path.suffix == ".gz" else data)
     _replace(sidecar, tomli_w.dumps(top).encode())
     return sidecar
+
+
+def _truth(columns: _Columns, truth: Truth, prefix: str) -> dict[str, Any]:
+    """The table of a truth, whose columns begin with that prefix."""
+    table: dict[str, Any] = {} if truth.sensor is None else {"sensor": truth.sensor}
+    table["time"] = columns.clock(truth.time)
+    table["position"] = {"columns": columns.add(prefix, "xyz", truth.position), "unit": "m"}
+    if truth.quaternion is not None:
+        names = columns.add(f"{prefix}_quaternion", "wxyz", truth.quaternion)
+        table["quaternion"] = {"columns": names, "order": "wxyz"}
+    return table
 
 
 class _Columns:

@@ -247,8 +247,11 @@ def full(walk):
     return Recording(
         "a walk",
         {"foot": foot, "left thigh": other},
-        landmarks=Landmarks(np.array([0.1, 1 / 3]), np.array([[0.0, 1 / 7, np.nan], [np.nan, np.nan, 3.0]])),
-        truth=Truth(walk.time[:50], truth, np.tile([1.0, 0, 0, 0], (50, 1))),
+        landmarks=Landmarks(
+            np.array([0.1, 1 / 3]), np.array([[0.0, 1 / 7, np.nan], [np.nan, np.nan, 3.0]]), "left thigh"
+        ),
+        truth=Truth(walk.time[:50], truth, np.tile([1.0, 0, 0, 0], (50, 1)), "foot"),
+        truths={"left thigh": Truth(walk.time[:40], walk.force[:40])},
         clock="uniform",
         notes=("a note",),
     )
@@ -266,11 +269,16 @@ def same(first, second):
             if mine is not None:
                 np.testing.assert_array_equal(mine.time, theirs.time)
                 np.testing.assert_array_equal(mine.values, theirs.values)
-    for kind, parts in (("landmarks", ("time", "position")), ("truth", ("time", "position", "quaternion"))):
-        mine, theirs = getattr(first, kind), getattr(second, kind)
+    assert list(first.truths) == list(second.truths)
+    pairs = [(first.landmarks, second.landmarks), (first.truth, second.truth)]
+    pairs += [(first.truths[name], second.truths[name]) for name in first.truths]
+    for mine, theirs in pairs:
         assert (mine is None) == (theirs is None)
-        for part in parts if mine is not None else ():
-            np.testing.assert_array_equal(getattr(mine, part), getattr(theirs, part))
+        if mine is None:
+            continue
+        assert mine.sensor == theirs.sensor
+        for part in ("time", "position", "quaternion"):
+            np.testing.assert_array_equal(getattr(mine, part, None), getattr(theirs, part, None))
 
 
 @pytest.mark.parametrize("name", ["out/w.csv", "w.csv.gz"])
