@@ -12,7 +12,7 @@ from pedjax import parameters
 from pedjax.detectors import stance
 from pedjax.errors import InputError
 from pedjax.evaluation.resampling import Labelled
-from pedjax.evaluation.roc import Reached, Roc, Wanted, roc
+from pedjax.evaluation.roc import Reached, Roc, Wanted
 from pedjax.recording import Inertial, Recording, nominal_rate
 
 
@@ -77,12 +77,6 @@ def labelled(
     }
     still = [y.still[y.known] for y in labels]
     return Labelled(found, still, {"all": [np.full(len(y), True) for y in still]})
-
-
-def detector_roc(params: Any, detector: str, samples: Sequence[Inertial], labels: Sequence[Labels]) -> Roc:
-    """ROC of a detector over all labelled samples."""
-    given = labelled(params, [detector], samples, labels)
-    return roc(np.concatenate(given.statistic[detector]), np.concatenate(given.label))
 
 
 def at_point(params: Any, detector: str, curve: Roc, wanted: Wanted) -> Reached:
