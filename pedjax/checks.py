@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pedjax.errors import InputError
+from pedjax.errors import InputError, suggest
 
 if TYPE_CHECKING:
-    from pedjax.recording import Recording, Sensor, Stream
+    from pedjax.recording import Recording, Sensor, Stream, Truth
 
 _MIN_SAMPLES = 20
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -45,7 +45,7 @@ def _check(recording: Recording) -> list[str]:
         _check_gravity(where, sensor, findings)
         _check_magnetometer(where, sensor, findings)
     _check_landmarks(recording)
-    _check_truth(recording)
+    _check_truths(recording)
     return findings
 
 
@@ -228,28 +228,42 @@ def _check_landmarks(recording: Recording) -> None:
         )
 
 
-def _check_truth(recording: Recording) -> None:
-    truth = recording.truth
-    if truth is None:
-        return
+def _check_truths(recording: Recording) -> None:
+    if recording.truth is not None:
+        _check_truth(recording, recording.truth, "truth")
+    for name, truth in recording.truths.items():
+        if name not in recording.sensors:
+            known = suggest(name, recording.sensors)
+            raise InputError(f"{recording.name}: there is a truth of '{name}', which is no sensor{known}")
+        if truth.sensor != name:
+            raise InputError(
+                f"{recording.name}: the truth of sensor '{name}' says it is that of {truth.sensor!r}; "
+                "make the two agree"
+            )
+        if recording.truth is not None and recording.truth.sensor == name:
+            raise InputError(f"{recording.name}: there are two truths of sensor '{name}'; leave one out")
+        _check_truth(recording, truth, f"truth of sensor '{name}'")
+
+
+def _check_truth(recording: Recording, truth: Truth, what: str) -> None:
     if truth.position.shape != (len(truth.time), 3):
         raise InputError(
-            f"{recording.name}: truth has time {truth.time.shape} and position {truth.position.shape}; "
+            f"{recording.name}: {what} has time {truth.time.shape} and position {truth.position.shape}; "
             "needed are (T,) and (T, 3)"
         )
     if truth.quaternion is not None and truth.quaternion.shape != (len(truth.time), 4):
         raise InputError(
-            f"{recording.name}: truth quaternions are {truth.quaternion.shape}; needed are "
+            f"{recording.name}: {what} has quaternions {truth.quaternion.shape}; needed are "
             f"({len(truth.time)}, 4), scalar first"
         )
     if not np.isfinite(truth.position).all(axis=1).any():
-        raise InputError(f"{recording.name}: the truth has no valid position")
+        raise InputError(f"{recording.name}: the {what} has no valid position")
     start = min(s.gyroscope.time[0] for s in recording.sensors.values())
     stop = max(s.gyroscope.time[-1] for s in recording.sensors.values())
     if not np.isfinite(truth.time).all() or truth.time[-1] < start or truth.time[0] > stop:
         raise InputError(
-            f"{recording.name}: the truth ({truth.time[0]:.2f} to {truth.time[-1]:.2f} s) does not overlap "
+            f"{recording.name}: the {what} ({truth.time[0]:.2f} to {truth.time[-1]:.2f} s) does not overlap "
             f"the recording ({start:.2f} to {stop:.2f} s); bring them to one time base"
         )
     if (np.diff(truth.time) < 0).any():
-        raise InputError(f"{recording.name}: the truth's time goes backwards; sort it")
+        raise InputError(f"{recording.name}: the {what} goes backwards in time; sort it")

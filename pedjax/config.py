@@ -6,7 +6,7 @@ import importlib.util
 import sys
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from pedjax.sweeping.designs import (
 from pedjax.system import System
 from pedjax.systems import assembled
 from pedjax.systems import system as find_system
+from pedjax.tables import filled, loaded
 from pedjax.tuning import TuneSettings
 from pedjax.walks import sensor_names
 
@@ -147,16 +148,7 @@ def load_plugin(path: str | Path) -> None:
 
 def _read(path: Path) -> dict[str, Any]:
     """The keys of one file, each known and of its kind."""
-    try:
-        with path.open("rb") as file:
-            raw = tomllib.load(file)
-    except FileNotFoundError:
-        known = suggest(str(path), presets())
-        raise InputError(f"{path}: there is no such config file{known}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: is not valid TOML: {error}") from None
+    raw = loaded(path, f"{path}: there is no such config file{suggest(str(path), presets())}")
     for key, value in raw.items():
         if key not in _KINDS:
             raise InputError(f"{path}: key '{key}' is unknown{suggest(key, _KINDS)}")
@@ -263,24 +255,6 @@ def _parse(text: str) -> Any:
         return text
 
 
-def _settings(cls: type, given: Mapping[str, Any], origin: str, section: str) -> Any:
-    known = {f.name: f for f in fields(cls)}
-    for key in given:
-        if key not in known:
-            raise InputError(f"{origin}: key '{section}.{key}' is unknown{suggest(key, known)}")
-    clean: dict[str, Any] = {}
-    for key, value in given.items():
-        default = known[key].default
-        if isinstance(default, bool) != isinstance(value, bool) and not callable(default):
-            raise InputError(f"{origin}: {section}.{key} = {value!r} must be of the kind of {default!r}")
-        if isinstance(default, float) and isinstance(value, int):
-            value = float(value)
-        if isinstance(default, int | float | str) and not isinstance(value, type(default)):
-            raise InputError(f"{origin}: {section}.{key} = {value!r} must be of the kind of {default!r}")
-        clean[key] = tuple(value) if isinstance(value, list) else value
-    return cls(**clean)
-
-
 def tune_settings(config: Config) -> TuneSettings:
     """The config's tuning settings, with names by default those of the system's gate and noises."""
     _, params = resolve(config)
@@ -289,7 +263,7 @@ def tune_settings(config: Config) -> TuneSettings:
     given.setdefault("seed", config.seed)
     if config.alignment != "auto":
         given.setdefault("alignment", config.alignment)
-    return _settings(TuneSettings, given, config.origin, "tune")
+    return filled(TuneSettings, given, config.origin, "tune.")
 
 
 def sweep_settings(config: Config) -> SweepSettings:
@@ -299,7 +273,7 @@ def sweep_settings(config: Config) -> SweepSettings:
         if not isinstance(given.get(key, {}), Mapping):
             raise InputError(f"{config.origin}: sweep.{key} must be a table with a dotted path in each row")
         given[key] = dict(given.get(key, {}))
-    settings = _settings(SweepSettings, given, config.origin, "sweep")
+    settings = filled(SweepSettings, given, config.origin, "sweep.")
     for name, low, high in (("count", 1, 1e8), ("refine", 0, 100), ("shrink", 1e-3, 1.0)):
         value = getattr(settings, name)
         if not low <= value <= high:

@@ -38,7 +38,7 @@ def atomic(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
                 write(file)
                 file.flush()
                 os.fsync(file.fileno())
-            os.chmod(temporary, 0o644)
+            os.chmod(temporary, 0o666 & ~_umask())  # mkstemp lets only the owner read
             os.replace(temporary, path)
         except BaseException:
             Path(temporary).unlink(missing_ok=True)
@@ -46,6 +46,12 @@ def atomic(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
     except OSError as error:
         remedy = "; free some space and repeat the command" if error.errno == errno.ENOSPC else ""
         raise InputError(f"{path}: cannot be written ({error.strerror}){remedy}") from None
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
 
 
 def plain(value: Any) -> Any:

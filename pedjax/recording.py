@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -77,7 +77,7 @@ class Sensor:
 class Landmarks:
     """Surveyed points: `time (K,)` s on the recording's clock, `position (K, 3)` m in a right-handed
     frame with z up; an unknown coordinate is NaN (a stair landmark knows only its height).
-    Kept in time order."""
+    `sensor` names the one at whose place they were surveyed (None: not said). Kept in time order."""
 
     time: np.ndarray
     position: np.ndarray
@@ -94,7 +94,8 @@ class Landmarks:
 @dataclass(frozen=True)
 class Truth:
     """Dense reference: `time (T,)` s, `position (T, 3)` m right-handed z up (NaN where lost), and
-    optionally `quaternion (T, 4)`, scalar first, body to navigation."""
+    optionally `quaternion (T, 4)`, scalar first, body to navigation. `sensor` names the one at whose place
+    it was measured (None: not said)."""
 
     time: np.ndarray
     position: np.ndarray
@@ -107,7 +108,10 @@ class Truth:
 
 @dataclass(frozen=True)
 class Recording:
-    """One walk. Making it checks it; what is wrong is an `InputError`, what is odd a line in `findings`."""
+    """One walk. Making it checks it; what is wrong is an `InputError`, what is odd a line in `findings`.
+
+    `truths` holds, by sensor, the truth of those beside the one that `truth` belongs to, in the same frame.
+    """
 
     name: str
     sensors: Mapping[str, Sensor]
@@ -116,11 +120,14 @@ class Recording:
     clock: Clock = "stamps"
     format: str = "arrays"
     notes: tuple[str, ...] = ()
+    truths: Mapping[str, Truth] = field(default_factory=dict)
     findings: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
         from pedjax import checks
 
+        named = {n: replace(t, sensor=n) if t.sensor is None else t for n, t in self.truths.items()}
+        object.__setattr__(self, "truths", named)
         object.__setattr__(self, "findings", (*self.notes, *checks.check(self)))
 
     @property
@@ -129,8 +136,30 @@ class Recording:
         return max(float(s.gyroscope.time[-1] - s.gyroscope.time[0]) for s in self.sensors.values())
 
     def truth_of(self, sensor: str | None = None) -> Truth | None:
-        """The truth of that sensor."""
-        return self.truth
+        """The sensor's own truth where there is one, else `truth`, whichever sensor it belongs to."""
+        return self.truth if sensor is None else self.truths.get(sensor, self.truth)
+
+    def renamed(self, names: Mapping[str, str]) -> Recording:
+        """The same walk with other names, new by old, for its sensors and for whose truth and landmarks
+        those are."""
+        if len({names.get(name, name) for name in self.sensors}) < len(self.sensors):
+            raise InputError(f"{self.name}: two of its sensors would have one name; choose another")
+
+        def known(name: str) -> str:
+            return names.get(name, name)
+
+        def owned(measured: Any) -> Any:
+            if measured is None or measured.sensor is None:
+                return measured
+            return replace(measured, sensor=known(measured.sensor))
+
+        return replace(
+            self,
+            sensors={known(name): sensor for name, sensor in self.sensors.items()},
+            landmarks=owned(self.landmarks),
+            truth=owned(self.truth),
+            truths={known(name): owned(truth) for name, truth in self.truths.items()},
+        )
 
     def sensor(self, name: str = "foot") -> Sensor:
         """The sensor of that name."""

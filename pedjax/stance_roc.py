@@ -12,7 +12,7 @@ from pedjax import parameters
 from pedjax.detectors import stance
 from pedjax.errors import InputError
 from pedjax.evaluation.resampling import Labelled
-from pedjax.evaluation.roc import Reached, Roc, Wanted, roc
+from pedjax.evaluation.roc import Reached, Roc, Wanted
 from pedjax.recording import Inertial, Recording, nominal_rate
 
 
@@ -23,10 +23,16 @@ class Labels(NamedTuple):
     known: np.ndarray
 
 
-def still_labels(recording: Recording, imu: Inertial, below: float = 0.1, smooth_s: float = 0.025) -> Labels:
-    """Still where the true speed is below `below` m/s, from central differences of the dense truth smoothed
-    over `smooth_s`. Unknown outside the truth and in its gaps."""
-    truth = recording.truth
+def still_labels(
+    recording: Recording,
+    imu: Inertial,
+    below: float = 0.1,
+    smooth_s: float = 0.025,
+    sensor: str | None = None,
+) -> Labels:
+    """Still where the true speed of the sensor is below `below` m/s, from central differences of
+    its dense truth smoothed over `smooth_s`. Unknown outside the truth and in its gaps."""
+    truth = recording.truth_of(sensor)
     if truth is None:
         raise InputError(f"{recording.name}: an ROC needs dense truth to label stance; it has none")
     good = np.isfinite(truth.position).all(axis=1) & (np.diff(truth.time, prepend=-np.inf) > 0)
@@ -71,12 +77,6 @@ def labelled(
     }
     still = [y.still[y.known] for y in labels]
     return Labelled(found, still, {"all": [np.full(len(y), True) for y in still]})
-
-
-def detector_roc(params: Any, detector: str, samples: Sequence[Inertial], labels: Sequence[Labels]) -> Roc:
-    """ROC of a detector over all labelled samples."""
-    given = labelled(params, [detector], samples, labels)
-    return roc(np.concatenate(given.statistic[detector]), np.concatenate(given.label))
 
 
 def at_point(params: Any, detector: str, curve: Roc, wanted: Wanted) -> Reached:

@@ -75,16 +75,6 @@ def trailing_moments(x: Array, width: int) -> tuple[Array, Array]:
     return mean, square / width
 
 
-def trailing_max(x: Array, width: int) -> Array:
-    """Largest value of the window that ends at each sample."""
-    return trailing(jnp.maximum, x, width)
-
-
-def trailing_min(x: Array, width: int) -> Array:
-    """Smallest value of the window that ends at each sample."""
-    return trailing(jnp.minimum, x, width)
-
-
 def is_complete(length: int, width: int) -> Array:
     """Whether the trailing window of each of `length` samples is whole."""
     return jnp.arange(length) >= width - 1

@@ -164,13 +164,54 @@ def test_landmark_with_height_only_is_welcome(signals):
     [
         (Truth(np.arange(3.0), np.zeros((2, 3))), "truth has time"),
         (Truth(np.arange(3.0), np.full((3, 3), np.nan)), "no valid position"),
-        (Truth(np.array([0.0, 2.0, 1.0]), np.zeros((3, 3))), "truth's time goes backwards"),
+        (Truth(np.array([0.0, 2.0, 1.0]), np.zeros((3, 3))), "the truth goes backwards in time"),
         (Truth(np.arange(3.0), np.zeros((3, 3)), np.zeros((3, 3))), "scalar first"),
     ],
 )
 def test_truth_that_cannot_be(signals, truth, message):
     with pytest.raises(InputError, match=message):
         make(signals, truth=truth)
+
+
+def two_sensors(signals, **parts):
+    recording = make(signals)
+    sensor = recording.sensor()
+    return replace(recording, sensors={"foot": sensor, "waist": sensor}, **parts)
+
+
+def path(signals, sensor=None):
+    return Truth(signals[0], np.zeros((len(signals[0]), 3)), sensor=sensor)
+
+
+def test_each_sensor_has_its_own_truth(signals):
+    waist, foot = path(signals), path(signals, "foot")
+    recording = two_sensors(signals, truth=foot, truths={"waist": waist})
+    assert recording.truth_of("waist").sensor == "waist"
+    assert recording.truth_of() is recording.truth_of("foot") is recording.truth_of("head") is foot
+    renamed = recording.renamed({"waist": "belt", "foot": "toe"})
+    assert list(renamed.sensors) == ["toe", "belt"]
+    assert (renamed.truth.sensor, renamed.truth_of("belt").sensor) == ("toe", "belt")
+    with pytest.raises(InputError, match="two of its sensors would have one name"):
+        recording.renamed({"waist": "foot"})
+
+
+@pytest.mark.parametrize(
+    ("own", "name", "sensor", "message"),
+    [
+        ("foot", "wasit", None, "a truth of 'wasit', which is no sensor; did you mean 'waist'"),
+        ("foot", "waist", "foot", "sensor 'waist' says it is that of 'foot'"),
+        ("waist", "waist", None, "two truths of sensor 'waist'"),
+    ],
+)
+def test_truths_that_cannot_be(signals, own, name, sensor, message):
+    with pytest.raises(InputError, match=message):
+        two_sensors(signals, truth=path(signals, own), truths={name: path(signals, sensor)})
+
+
+def test_a_further_truth_is_checked_as_the_first_is(signals):
+    truth = Truth(np.arange(3.0), np.zeros((2, 3)))
+    with pytest.raises(InputError, match="truth of sensor 'waist' has time"):
+        two_sensors(signals, truths={"waist": truth})
 
 
 def test_clocks(signals, rng):

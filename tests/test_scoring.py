@@ -10,6 +10,8 @@ import pedjax
 from pedjax import InputError
 from pedjax.recording import Landmarks, Truth
 from pedjax.scoring import aligned, choose_alignment
+from pedjax.simulation.footsteps import Leg
+from pedjax.simulation.scenarios import Scenario
 from tests.reference import evaluation as oracle
 
 
@@ -103,6 +105,47 @@ def test_a_mirrored_path_is_remarked(track, recording):
     truth = Truth(recording.truth.time, recording.truth.position * [1, -1, 1])
     score = pedjax.evaluate(track, replace(recording, landmarks=None, truth=truth))
     assert "mirror image" in score.warnings[0]
+
+
+@pytest.fixture(scope="module")
+def carried():
+    """A walk with a sensor on the foot and one in the pocket, past two landmarks."""
+    scenario = Scenario(
+        name="carried",
+        legs=(Leg(points=((0.0, 0.0), (8.0, 0.0), (8.0, 6.0))),),
+        sensors={"foot": "xsens_mtw", "pocket": "xsens_mtw"},
+        landmarks=((0.0, 0.0), (8.0, 0.0), (8.0, 6.0)),
+    )
+    return pedjax.simulate(scenario, 3)
+
+
+def perfect(track, made, sensor):
+    motion = made.truth[sensor].motion
+    return replace(
+        track,
+        time=made.truth[sensor].time,
+        sensor=sensor,
+        estimate={"position": motion.position - motion.position[0], "attitude": motion.attitude},
+    )
+
+
+@pytest.mark.parametrize("sensor", ["foot", "pocket"])
+def test_each_sensor_is_scored_by_its_own_truth(track, carried, sensor):
+    assert carried.recording.landmarks.sensor == "foot"
+    dense = replace(carried.recording, landmarks=None)
+    score = pedjax.evaluate(perfect(track, carried, sensor), dense)
+    assert score.warnings == ()
+    assert score.rms_3d_m < 1e-9
+    assert score.heading_rms_deg < 1e-5
+
+
+def test_what_is_measured_at_another_sensor_is_remarked(track, carried):
+    pocket = perfect(track, carried, "pocket")
+    alone = replace(carried.recording, landmarks=None, truths={})
+    for recording, what in ((carried.recording, "landmarks"), (alone, "truth")):
+        (warning,) = pedjax.evaluate(pocket, recording).warnings
+        assert f"the {what} are those of sensor 'foot', the track is that of 'pocket'" in warning
+    assert pedjax.evaluate(perfect(track, carried, "foot"), carried.recording).warnings == ()
 
 
 def test_heading_error_takes_off_a_constant(track, recording):

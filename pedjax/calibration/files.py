@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
@@ -13,6 +12,7 @@ from pedjax.calibration.fitting import Fit
 from pedjax.calibration.magnetometer import Calibration, uncalibrated
 from pedjax.errors import InputError, suggest
 from pedjax.output import plain, write_toml
+from pedjax.tables import loaded
 
 _SHAPES = {"hard_iron": (3,), "matrix": (3, 3), "level_offset": (2,), "level_matrix": (2, 2)}
 _TOLD = ("method", "reason", "source", "sensor", "recorded", "field_ut", "warnings", "diagnostics")
@@ -41,18 +41,7 @@ def write(
 def read(path: str | PathLike[str]) -> Calibration:
     """The calibration of such a file; a part that it leaves out is the identity."""
     path = Path(path)
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(
-            f"{path}: there is no such calibration file; make one with pedjax calibrate"
-        ) from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path and rights") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path}: is not valid TOML ({error}); repair that line, or calibrate again"
-        ) from None
+    raw = loaded(path, f"{path}: there is no such calibration file; make one with pedjax calibrate")
     for key in raw:
         if key not in (*_SHAPES, *_TOLD):
             raise InputError(f"{path}: key '{key}' is unknown{suggest(key, (*_SHAPES, *_TOLD))}")

@@ -1,4 +1,4 @@
-"""The field of a levelled body, its heading and inclination. Body forward-left-up, navigation ENU.
+"""The field of a levelled body, and its inclination. Body forward-left-up, navigation ENU.
 
 With roll and pitch from specific force f at rest (up),
 
@@ -15,9 +15,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
-from pedjax import rotations
 from pedjax.calibration.algebra import angle, norm
 
 
@@ -36,20 +34,6 @@ def level(force: Array, mag: Array) -> Array:
     x, y, z = mag[..., 0], mag[..., 1], mag[..., 2]
     across = y * sr + z * cr
     return jnp.stack([x * cp + across * sp, y * cr - z * sr, across * cp - x * sp], axis=-1)
-
-
-def heading(levelled: Array, declination: ArrayLike = 0.0) -> Array:
-    """Yaw in rad, counter-clockwise from east, of a body with levelled field `(..., 2 or 3)`:
-    atan2(m_x', m_y') - declination, which is positive to the east.
-
-    Zero without a horizontal field; see `heading_known`. Ma's Eq. 1 prints atan(B_y / B_x).
-    """
-    return rotations.wrap(angle(levelled[..., 0], levelled[..., 1]) - jnp.asarray(declination))
-
-
-def heading_known(levelled: Array, least: float = 0.1) -> Array:
-    """Where the horizontal part is more than this share of the field `(..., 3)` (kit choice)."""
-    return norm(levelled[..., :2]) > least * norm(levelled)
 
 
 def inclination(levelled: Array) -> Array:

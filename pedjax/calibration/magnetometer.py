@@ -33,8 +33,3 @@ def uncalibrated() -> Calibration:
 def apply(calibration: Calibration, mag: ArrayLike) -> Array:
     """Body part: K (raw - b) for `mag (..., 3)` µT in body axes."""
     return (jnp.asarray(mag) - calibration.hard_iron) @ calibration.matrix.T
-
-
-def apply_level(calibration: Calibration, levelled: ArrayLike) -> Array:
-    """Levelled part: L (m - o) for the horizontal field `levelled (..., 2)` µT of the levelled body."""
-    return (jnp.asarray(levelled) - calibration.level_offset) @ calibration.level_matrix.T

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from pedjax.calibration import ellipsoid, planar
 from pedjax.cli.common import say
 from pedjax.errors import InputError
 from pedjax.output import folder, write_figure
 
-CLOUDS = ("algebraic", "clsef", "li-griffiths")
-LOOPS = ("lsq", "minmax", "soft")
+CLOUDS, LOOPS = tuple(ellipsoid.FITS), tuple(planar.METHODS)
 
 
 def add_parser(commands: Any, recordings: argparse.ArgumentParser) -> None:
@@ -24,7 +24,7 @@ def add_parser(commands: Any, recordings: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--method", choices=("auto", *CLOUDS, *LOOPS), default="auto",
-        help="an ellipsoid (algebraic, clsef, li-griffiths), or a loop (lsq, minmax, soft); default: auto",
+        help=f"an ellipsoid ({', '.join(CLOUDS)}), or a loop ({', '.join(LOOPS)}); default: auto",
     )  # fmt: skip
     parser.add_argument(
         "--field", type=float, metavar="UT",

@@ -18,13 +18,14 @@ from pedjax.cli import allan, calibrate, roc, simulate, sweeps
 from pedjax.cli.common import configured, loaded, say, write_metrics, write_parameters
 from pedjax.config import override, resolve, resolved, site_of, tune_settings
 from pedjax.evaluation.scores import score_kind
+from pedjax.identity import fingerprint
 from pedjax.output import folder, write_figure, write_json, write_table, write_toml
 from pedjax.recording import Recording
 from pedjax.running import Track
 from pedjax.running import run as run_system
 from pedjax.scoring import Score, evaluate
 from pedjax.sources import read_all
-from pedjax.tuning import fingerprint, refuse_overlap, split
+from pedjax.tuning import refuse_overlap, split
 from pedjax.tuning import tune as tune_system
 from pedjax.walks import distinct
 
@@ -69,15 +70,19 @@ def _describe(path: str, recording: Recording) -> list[str]:
     if recording.landmarks is not None:
         known = np.isfinite(recording.landmarks.position).sum(axis=0)
         lines.append(
-            f"  {len(recording.landmarks.time)} landmarks "
+            f"  {len(recording.landmarks.time)} landmarks{_of(recording.landmarks.sensor)} "
             f"(x known at {known[0]}, y at {known[1]}, z at {known[2]})"
         )
-    if recording.truth is not None:
-        orientation = " with orientation" if recording.truth.quaternion is not None else ""
-        lines.append(f"  dense truth: {len(recording.truth.time)} positions{orientation}")
+    for truth in filter(None, (recording.truth, *recording.truths.values())):
+        orientation = " with orientation" if truth.quaternion is not None else ""
+        lines.append(f"  dense truth{_of(truth.sensor)}: {len(truth.time)} positions{orientation}")
     lines.append(f"  read with clock = '{recording.clock}'")
     lines += [f"  look at: {finding}" for finding in recording.findings] or ["  nothing looks wrong"]
     return lines
+
+
+def _of(sensor: str | None) -> str:
+    return "" if sensor is None else f" of sensor '{sensor}'"
 
 
 def run(args: argparse.Namespace) -> int:

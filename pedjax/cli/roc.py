@@ -17,11 +17,11 @@ from pedjax.detectors.stance import DETECTORS
 from pedjax.errors import InputError, suggest
 from pedjax.evaluation.resampling import Banded, Interval, Labelled, compare, difference
 from pedjax.evaluation.roc import Reached, Roc, Wanted
+from pedjax.identity import fingerprint
 from pedjax.output import folder, write_figure, write_table
 from pedjax.recording import Recording, inertial
 from pedjax.sources import read_all, read_labelled
 from pedjax.systems import SYSTEMS
-from pedjax.tuning import fingerprint
 from pedjax.walks import sensor_names
 
 KINDS: dict[str, tuple[str, ...]] = {"stance": tuple(DETECTORS), "field": tuple(FIELD_DETECTORS)}
@@ -145,7 +145,8 @@ def _stance(args: argparse.Namespace, config: Config, names: list[str]) -> _Judg
     recordings = read_all(config.recordings, args.format)
     samples = [inertial(r, sensor, config.clock) for r in recordings]
     labels = [
-        stance_roc.still_labels(r, i, args.still_below) for r, i in zip(recordings, samples, strict=True)
+        stance_roc.still_labels(r, i, args.still_below, sensor=sensor)
+        for r, i in zip(recordings, samples, strict=True)
     ]
     entries = [
         {

@@ -1,7 +1,7 @@
 """Detectors: statistics over a whole recording in one pass, turned into weights by the one gate."""
 
 from pedjax.detectors.field import register_field_detector
-from pedjax.detectors.segments import clean_stance, segment_mean, stance_id
+from pedjax.detectors.segments import clean_stance, stance_id
 from pedjax.detectors.stance import DETECTORS, Detector, StanceParameters, register_stance_detector
 from pedjax.detectors.stance import evidence as stance_evidence
 from pedjax.detectors.stance import log_ratio as stance_log_ratio
@@ -14,7 +14,6 @@ __all__ = [
     "clean_stance",
     "register_field_detector",
     "register_stance_detector",
-    "segment_mean",
     "stance_evidence",
     "stance_id",
     "stance_log_ratio",

@@ -1,4 +1,4 @@
-"""From a stance mask to numbered stances: merge short gaps, drop short stances, average over each."""
+"""From a stance mask to numbered stances: merge short gaps, drop short stances."""
 
 from __future__ import annotations
 
@@ -31,16 +31,3 @@ def clean_stance(mask: Array, dt: Array, merge_s: float = 0.05, drop_s: float = 
     gap = ~mask & started & ~ended
     filled = mask | (gap & (_durations(~mask, dt) < merge_s - slack))
     return filled & (_durations(filled, dt) >= drop_s - slack)
-
-
-def segment_mean(x: Array, stances: Array, count: int) -> tuple[Array, Array, Array]:
-    """Mean of `x (T, D)` over each stance of `stance_id (T,)`, padded to `count` stances.
-
-    Returns `(mean (count, D), onset (count,), valid (count,))`; the onset of a missing stance is −1.
-    """
-    index = jnp.where(stances >= 0, stances, count)
-    ones = jax.ops.segment_sum(jnp.ones(len(stances), x.dtype), index, num_segments=count + 1)[:count]
-    total = jax.ops.segment_sum(x, index, num_segments=count + 1)[:count]
-    onset = jax.ops.segment_min(jnp.arange(len(stances)), index, num_segments=count + 1)[:count]
-    valid = ones > 0
-    return total / jnp.maximum(ones, 1)[:, None], jnp.where(valid, onset, -1), valid

@@ -82,11 +82,6 @@ def log_sizes(samples: int, per_decade: float = 10, fewest: int = FEWEST_CLUSTER
     return np.unique(np.rint(np.geomspace(1, longest, count)).astype(int))
 
 
-def all_sizes(samples: int, fewest: int = 2) -> np.ndarray:
-    """Every cluster size of which there are `fewest`; the work grows with the square of the samples."""
-    return np.arange(1, samples // max(fewest, 2) + 1)
-
-
 def allan_curve(
     values: np.ndarray, rate: float, sizes: np.ndarray | Sequence[int] | None = None, overlapping: bool = True
 ) -> AllanCurve:

@@ -148,11 +148,6 @@ def allan_parts(values: np.ndarray, tau: np.ndarray) -> np.ndarray:
     return np.stack(parts, axis=-1)
 
 
-def gauss_markov_deviation(std: float, time: float, tau: np.ndarray) -> np.ndarray:
-    """Allan deviation `(K,)` of a first-order Gauss-Markov process; its peak is 0.617 std at 1.893 time."""
-    return std * np.sqrt(_gauss_markov(np.asarray(tau, float) / time)[0])
-
-
 def _gauss_markov(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Allan variance of unit std at x = tau / T, and its derivative with respect to ln T."""
     series = x * (2 / 3 - x * (1 / 2 - x * (7 / 30 - x / 12)))

@@ -135,22 +135,6 @@ def inertial_noise(noise: ProcessNoise, dt: Array, like: Array) -> dict[str, Arr
     }
 
 
-def dense_transition(F: Transition, like: Array, states: str = STATES) -> Array:
-    """The dense `(3n, 3n, *L)` transition that `predict` applies blockwise; for analysis and tests."""
-    one = eye(3, like) * jnp.ones_like(like)
-
-    def whole(row: str, column: str) -> Array:
-        if column not in F[row]:
-            return jnp.zeros_like(one)
-        matrix = F[row][column]
-        if matrix is None:
-            return one
-        return matrix if matrix.ndim == one.ndim else matrix * one
-
-    rows = [jnp.concatenate([whole(a, b) for b in states], axis=1) for a in states]
-    return jnp.concatenate(rows, axis=0)
-
-
 def predict(P: Covariance, F: Transition, Q: Mapping[str, Array]) -> Covariance:
     """F P Fᵀ + Q with the zero and identity blocks of F left out; `Q[state] (3, 3, *L)`."""
     keep = {}

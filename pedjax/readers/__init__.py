@@ -88,8 +88,9 @@ def _named(recording: Recording, sensor: str | None) -> Recording:
     if sensor is None or set(recording.sensors) == {sensor}:
         return recording
     if len(recording.sensors) == 1:
-        return replace(recording, sensors={sensor: next(iter(recording.sensors.values()))})
-    return replace(recording, sensors={sensor: recording.sensor(sensor)})
+        return recording.renamed({next(iter(recording.sensors)): sensor})
+    own = recording.truth_of(sensor)
+    return replace(recording, sensors={sensor: recording.sensor(sensor)}, truth=own, truths={})
 
 
 def _with_landmarks(recording: Recording, top: Table) -> Recording:
@@ -98,9 +99,12 @@ def _with_landmarks(recording: Recording, top: Table) -> Recording:
     more = _marks.landmarks(top, time)
     old = recording.landmarks
     if more is not None and old is not None:
-        order = np.argsort(np.concatenate([old.time, more.time]), kind="stable")
-        more = Landmarks(
-            np.concatenate([old.time, more.time])[order], np.concatenate([old.position, more.position])[order]
-        )
+        if None not in (old.sensor, more.sensor) and old.sensor != more.sensor:
+            raise InputError(
+                f"{top.where}: the file has landmarks of sensor '{old.sensor}', these are of "
+                f"'{more.sensor}'; give those of one sensor only"
+            )
+        time, position = np.concatenate([old.time, more.time]), np.concatenate([old.position, more.position])
+        more = Landmarks(time, position, old.sensor or more.sensor)
     clock = top.choice("clock", ("stamps", "uniform", "resample"), recording.clock)
     return replace(recording, landmarks=more if more is not None else old, clock=clock)  # type: ignore[arg-type]

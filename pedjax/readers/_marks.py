@@ -13,7 +13,7 @@ from pedjax.readers._file import load
 from pedjax.readers._settings import Table
 from pedjax.recording import Landmarks
 
-KEYS = ("return_to_start", "landmarks", "landmarks_file", "frame")
+KEYS = ("return_to_start", "landmarks", "landmarks_file", "landmarks_sensor", "frame")
 
 FRAMES = {
     "ENU": np.eye(3),
@@ -58,8 +58,7 @@ def landmarks(top: Table, time: np.ndarray, unit: float = 1.0) -> Landmarks | No
         position = np.concatenate([position, np.zeros((2, 3))])
     if not times:
         return None
-    order = np.argsort(times, kind="stable")
-    return Landmarks(np.array(times)[order], position[order])
+    return Landmarks(np.array(times), position, top.get("landmarks_sensor", "text"))
 
 
 def _time(entry: Table, time: np.ndarray, unit: float) -> float:

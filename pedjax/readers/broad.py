@@ -29,6 +29,6 @@ def read(file: File) -> Recording:
     truth = None
     if "opt_pos" in file.arrays:
         quaternion = file.matrix("opt_quat", 4) if "opt_quat" in file.arrays else None
-        truth = Truth(time, file.matrix("opt_pos", 3), quaternion)
+        truth = Truth(time, file.matrix("opt_pos", 3), quaternion, "hand")
     sensor = Sensor(Stream(time, acceleration), Stream(time, file.matrix("imu_gyr", 3)), magnetometer)
     return Recording(file.stem, {"hand": sensor}, truth=truth, format="broad")

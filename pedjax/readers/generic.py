@@ -20,7 +20,7 @@ from pedjax.readers._file import File, numeric
 from pedjax.readers._settings import Table
 from pedjax.recording import Recording, Sensor, Stream, Truth
 
-LAYOUT = ("format", "time", "sensors", "truth")
+LAYOUT = ("format", "time", "sensors", "truth", "truths")
 """The tables that describe a layout; a TOML without any only adds to a format that is known."""
 
 _AXES = re.compile(r"([+-])([xyz])([+-])([xyz])([+-])([xyz])")
@@ -134,6 +134,7 @@ def read(file: File, top: Table) -> Recording:
         raise InputError(f"{top.where}: there is no sensor; describe one in a table [sensors.foot]")
     frame = _marks.frame(top)
     first = next(iter(sensors.values())).gyroscope.time
+    beside = top.table("truths")
     return Recording(
         top.get("name", "text", file.stem),
         sensors,
@@ -142,6 +143,7 @@ def read(file: File, top: Table) -> Recording:
         clock=top.choice("clock", _CLOCKS, "stamps"),  # type: ignore[arg-type]
         format="generic",
         notes=tuple(str(note) for note in top.get("notes", "a list", [])),
+        truths={name: _truth(beside.table(name), fetch, times, frame, name) for name in beside.values},
     )
 
 
@@ -198,8 +200,9 @@ def _present(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return time[~absent], values[~absent]
 
 
-def _truth(table: Table, fetch: Fetch, times: Times, frame: str) -> Truth:
-    table.only("position", "quaternion", "time")
+def _truth(table: Table, fetch: Fetch, times: Times, frame: str, sensor: str | None = None) -> Truth:
+    table.only("position", "quaternion", "time", "sensor")
+    sensor = table.get("sensor", "text", sensor)
     table.need("position", "a table")
     place = table.table("position")
     place.only("columns", "unit")
@@ -209,14 +212,14 @@ def _truth(table: Table, fetch: Fetch, times: Times, frame: str) -> Truth:
     position = _marks.turned(position, frame)
     time = times(table, len(position))
     if "quaternion" not in table.values:
-        return Truth(*_present(time, position))
+        return Truth(*_present(time, position), sensor=sensor)
     quaternion = _quaternion(table.table("quaternion"), fetch, frame)
     if len(quaternion) != len(position):
         raise InputError(
             f"{table.where}: {len(quaternion)} quaternions for {len(position)} positions; give as many"
         )
     time, both = _present(time, np.hstack([position, quaternion]))
-    return Truth(time, both[:, :3], both[:, 3:])
+    return Truth(time, both[:, :3], both[:, 3:], sensor)
 
 
 def _quaternion(table: Table, fetch: Fetch, frame: str) -> np.ndarray:

@@ -124,7 +124,7 @@ def _landmarks(file: File, stamps: np.ndarray, late: bool) -> tuple[Landmarks | 
             "strides where a row for the start and one for each stride are needed"
         )
     height = np.full((len(position), 1), np.nan)
-    return Landmarks(time[numbers], np.hstack([position, height])), ""
+    return Landmarks(time[numbers], np.hstack([position, height]), "foot"), ""
 
 
 def _stride_times(file: File, stamps: np.ndarray) -> np.ndarray:

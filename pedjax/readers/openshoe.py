@@ -49,7 +49,7 @@ def read(file: File) -> Recording:
     sensor = Sensor(
         Stream(time, STANDARD_GRAVITY * table[:, :3]), Stream(time, table[:, 3:6]), magnetometer, up="+z"
     )
-    landmarks = Landmarks(time[[0, -1]], np.zeros((2, 3)))
+    landmarks = Landmarks(time[[0, -1]], np.zeros((2, 3)), "foot")
     return Recording(file.stem, {"foot": sensor}, landmarks=landmarks, format="openshoe", notes=tuple(notes))
 
 

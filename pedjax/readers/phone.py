@@ -39,9 +39,8 @@ def read_archive(file: File) -> Recording:
         quaternion = None
         if "truth_quaternion_wxyz" in file.arrays:
             quaternion = file.matrix("truth_quaternion_wxyz", 4)
-        truth = Truth(
-            file.array("truth_time").ravel(), 1e-3 * file.matrix("truth_position_mm", 3), quaternion
-        )
+        position = 1e-3 * file.matrix("truth_position_mm", 3)
+        truth = Truth(file.array("truth_time").ravel(), position, quaternion, "pocket")
     sensor = Sensor(_stream(file, "accel"), _stream(file, "gyro"), magnetometer)
     return Recording(file.stem, {"pocket": sensor}, truth=truth, format="phone archive", notes=tuple(notes))
 
@@ -115,4 +114,4 @@ def _waypoints(marks: Stream, time: np.ndarray) -> tuple[Landmarks | None, list[
     if not keep.any():
         return None, notes
     height = np.full((int(keep.sum()), 1), np.nan)
-    return Landmarks(inside[keep], np.hstack([marks.values[keep], height])), notes
+    return Landmarks(inside[keep], np.hstack([marks.values[keep], height]), "hand"), notes

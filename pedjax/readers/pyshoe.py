@@ -38,9 +38,9 @@ def read(file: File) -> Recording:
         position = _position(file, file.array("gt_idx").size if "gt_idx" in file.arrays else len(time))
         if "gt_idx" in file.arrays:
             index = _sample_index(file, len(time), len(position))
-            landmarks = Landmarks(time[index], position)
+            landmarks = Landmarks(time[index], position, "foot")
         elif len(position) == len(time):
-            truth = Truth(time, position)
+            truth = Truth(time, position, sensor="foot")
         else:
             raise InputError(
                 f"{file.name}: 'gt' has {len(position)} rows for {len(time)} samples and there is no "

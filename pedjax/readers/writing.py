@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import os
-import tempfile
 from collections.abc import Iterator
 from itertools import zip_longest
 from os import PathLike
@@ -12,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from pedjax.errors import InputError
-from pedjax.recording import Recording, Stream
+from pedjax.output import atomic, folder, write_toml
+from pedjax.recording import Recording, Stream, Truth
 
 _UNITS = {"accelerometer": "m/s^2", "gyroscope": "rad/s", "magnetometer": "uT"}
 
@@ -49,22 +47,34 @@ def write_csv(recording: Recording, path: str | PathLike[str]) -> Path:
                 }
         top["sensors"][name] = entry
     if recording.truth is not None:
-        truth = recording.truth
-        top["truth"] = {
-            "time": columns.clock(truth.time),
-            "position": {"columns": columns.add("truth", "xyz", truth.position), "unit": "m"},
-        }
-        if truth.quaternion is not None:
-            names = columns.add("truth_quaternion", "wxyz", truth.quaternion)
-            top["truth"]["quaternion"] = {"columns": names, "order": "wxyz"}
+        top["truth"] = _truth(columns, recording.truth, "truth")
+    if recording.truths:
+        further = recording.truths.items()
+        top["truths"] = {name: _truth(columns, truth, f"{name}_truth") for name, truth in further}
     if recording.landmarks is not None:
+        if recording.landmarks.sensor is not None:
+            top["landmarks_sensor"] = recording.landmarks.sensor
         marks = zip(recording.landmarks.time.tolist(), recording.landmarks.position.tolist(), strict=True)
         top["landmarks"] = [{"time": time, "position": position} for time, position in marks]
     sidecar = path.with_name(path.name + ".toml")
     data = columns.text().encode()
-    _replace(path, gzip.compress(data, mtime=0) if path.suffix == ".gz" else data)
-    _replace(sidecar, tomli_w.dumps(top).encode())
+    if path.suffix == ".gz":
+        data = gzip.compress(data, mtime=0)
+    folder(path.parent)
+    atomic(path, lambda file: file.write(data))
+    write_toml(sidecar, top)
     return sidecar
+
+
+def _truth(columns: _Columns, truth: Truth, prefix: str) -> dict[str, Any]:
+    """The table of a truth, whose columns begin with that prefix."""
+    table: dict[str, Any] = {} if truth.sensor is None else {"sensor": truth.sensor}
+    table["time"] = columns.clock(truth.time)
+    table["position"] = {"columns": columns.add(prefix, "xyz", truth.position), "unit": "m"}
+    if truth.quaternion is not None:
+        names = columns.add(f"{prefix}_quaternion", "wxyz", truth.quaternion)
+        table["quaternion"] = {"columns": names, "order": "wxyz"}
+    return table
 
 
 class _Columns:
@@ -95,27 +105,3 @@ class _Columns:
         # repr is the shortest text that reads back to the same float
         cells = [map(repr, np.asarray(column, dtype=float).tolist()) for column in self._columns.values()]
         return map(",".join, zip_longest(*cells, fillvalue=""))
-
-
-def _replace(path: Path, data: bytes) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-    except OSError as error:
-        raise InputError(f"{path}: it cannot be written ({error.strerror}); choose another folder") from error
-    try:
-        with os.fdopen(handle, "wb") as part:
-            part.write(data)
-        os.chmod(name, 0o666 & ~_umask())  # mkstemp lets only the owner read
-        os.replace(name, path)
-    except OSError as error:
-        Path(name).unlink(missing_ok=True)
-        raise InputError(
-            f"{path}: it cannot be written ({error.strerror}); free space or choose another"
-        ) from error
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

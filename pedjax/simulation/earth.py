@@ -14,7 +14,6 @@ from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
 from pedjax.errors import InputError, suggest
 from pedjax.lanes import dot
@@ -44,13 +43,6 @@ def declination(field: Array) -> Array:
     """Angle `(*L)` in rad from north towards east of `field (3, *L)`; 0 where it has no horizontal part."""
     upright = norm(field[:2]) == 0
     return jnp.arctan2(field[0], jnp.where(upright, 1.0, field[1]))
-
-
-def from_angles(declination: ArrayLike, inclination: ArrayLike, strength: ArrayLike) -> Array:
-    """Field `(3, *L)`, ENU, of that declination and inclination in rad and strength F in µT."""
-    d, i, f = jnp.broadcast_arrays(*map(jnp.asarray, (declination, inclination, strength)))
-    level = f * jnp.cos(i)
-    return jnp.stack([level * jnp.sin(d), level * jnp.cos(d), -f * jnp.sin(i)])
 
 
 def homogeneous(place: str) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from pedjax.errors import InputError, suggest
 from pedjax.simulation.footsteps import Leg
 from pedjax.simulation.motion import MOUNTINGS
 from pedjax.simulation.presets import PRESETS
+from pedjax.tables import filled, loaded
 
 FIELDS: dict[str, tuple[str, ...]] = {
     "none": (),
@@ -82,38 +82,12 @@ def load_scenario(name: str | Path) -> Scenario:
     """One that comes with the package, by name, or a TOML file."""
     known = scenarios()
     path = known.get(str(name), Path(name))
-    try:
-        raw = tomllib.loads(path.read_text())
-    except FileNotFoundError:
-        raise InputError(f"there is no scenario '{name}'{suggest(str(name), known)}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: is not valid TOML: {error}") from None
+    raw = loaded(path, f"there is no scenario '{name}'{suggest(str(name), known)}")
     legs = raw.pop("legs", [])
     if not isinstance(legs, list) or not all(isinstance(leg, dict) for leg in legs):
         raise InputError(f"{path}: legs must be tables, [[legs]]")
-    made = tuple(_made(Leg, leg, f"{path}: leg {n}") for n, leg in enumerate(legs, 1))
-    return _made(Scenario, {"name": path.stem, **raw, "legs": made}, str(path))
-
-
-def _made(cls: Any, given: Mapping[str, Any], where: str) -> Any:
-    """A dataclass from a table, each key known and of its kind."""
-    known = {f.name: f for f in dataclasses.fields(cls)}
-    clean = {}
-    for key, value in given.items():
-        if key not in known:
-            raise InputError(f"{where}: key '{key}' is unknown{suggest(key, known)}")
-        default = known[key].default
-        number = isinstance(default, int | float) and not isinstance(default, bool)
-        if (number or key == "speed") and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise InputError(f"{where}: {key} = {value!r} must be a number")
-        if isinstance(default, str | bool) and not isinstance(value, type(default)):
-            raise InputError(f"{where}: {key} = {value!r} must be of the kind of {default!r}")
-        if isinstance(value, list):
-            value = tuple(tuple(x) if isinstance(x, list) else x for x in value)
-        clean[key] = value
-    return cls(**clean)
+    made = tuple(filled(Leg, leg, f"{path}: leg {n}") for n, leg in enumerate(legs, 1))
+    return filled(Scenario, {"name": path.stem, **raw, "legs": made}, str(path))
 
 
 def _check(scenario: Scenario) -> None:

@@ -365,11 +365,6 @@ def _quantise(values: Array, resolution: Array) -> Array:
 _quantise.defjvps(lambda tangent, _answer, _values, _resolution: tangent, None)
 
 
-def warm_up(time: ArrayLike, rise: ArrayLike, time_constant: ArrayLike) -> Array:
-    """`(T,)` K: the temperature of a unit above that of its start, rise (1 - exp(-time / time_constant))."""
-    return -jnp.asarray(rise) * jnp.expm1(-jnp.asarray(time) / jnp.asarray(time_constant))
-
-
 def clock(model: Clock, seed: int, duration: float) -> Ticks:
     """Sampling instants, stamps and losses of int(duration * rate) samples; same seed, same bits (numpy).
 

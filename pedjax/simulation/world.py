@@ -85,11 +85,14 @@ def simulate(scenario: str | Scenario, seed: int = 0) -> Simulated:
         }
     first = next(iter(found))
     truth = found[first][1]
+    origin = truth.motion.position[0]
+    paths = {place: _path(each, place, origin) for place, (_, each) in found.items()}
     recording = Recording(
         name=f"{scenario.name}:{seed}",
         sensors={place: sensor for place, (sensor, _) in found.items()},
-        landmarks=_landmarks(scenario, truth),
-        truth=_path(truth),
+        landmarks=_landmarks(scenario, truth, first),
+        truth=paths.pop(first),
+        truths=paths,
         format="simulated",
     )
     lands = np.sort(np.concatenate([plan.walker.left.lands, plan.walker.right.lands]))
@@ -235,15 +238,15 @@ def _field_along(field: Field, position: np.ndarray, time: np.ndarray, mode: str
 _field_at = jax.jit(fields.field_at, static_argnames="mode")
 
 
-def _path(truth: SensorTruth) -> Truth:
-    """Position seen from the start, and orientation."""
+def _path(truth: SensorTruth, place: str, origin: np.ndarray) -> Truth:
+    """Position of the sensor at that place, seen from an origin `(3,)` in m, and orientation."""
     from scipy.spatial.transform import Rotation
 
     turned = Rotation.from_matrix(truth.motion.attitude).as_quat(scalar_first=True)
-    return Truth(truth.time, truth.motion.position - truth.motion.position[0], turned)
+    return Truth(truth.time, truth.motion.position - origin, turned, place)
 
 
-def _landmarks(scenario: Scenario, truth: SensorTruth) -> Landmarks | None:
+def _landmarks(scenario: Scenario, truth: SensorTruth, sensor: str) -> Landmarks | None:
     """Where the sensor truly was each time the walker passed a landmark: in the stance that was nearest."""
     if not scenario.landmarks:
         return None
@@ -259,4 +262,4 @@ def _landmarks(scenario: Scenario, truth: SensorTruth) -> Landmarks | None:
     if not marks:
         return None
     index = np.unique(marks)
-    return Landmarks(time[index], truth.motion.position[index] - truth.motion.position[0])
+    return Landmarks(time[index], truth.motion.position[index] - truth.motion.position[0], sensor)

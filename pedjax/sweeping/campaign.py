@@ -13,13 +13,13 @@ import numpy as np
 
 from pedjax import parameters
 from pedjax.evaluation.scores import score_kind
+from pedjax.identity import fingerprint, fingerprint_of, streams
 from pedjax.recording import Recording
 from pedjax.sweeping import store as keep
 from pedjax.sweeping.designs import Design, lay_out
 from pedjax.sweeping.engine import Engine, Job, check_design, parts_of, slice_of
 from pedjax.sweeping.store import Store
 from pedjax.sweeping.team import Team, disband, shared_out, wait_for
-from pedjax.tuning.split import fingerprint
 from pedjax.walks import Walk
 
 Progress = Callable[[int, int], None]
@@ -70,16 +70,19 @@ def manifest_of(
     }
 
 
-def recordings_of(job: Job, recordings: Sequence[Recording]) -> list[dict[str, str]]:
-    """Each recording's name, fingerprint, and hash of what it is scored by."""
-    return [
-        {"name": n, "fingerprint": fingerprint(r), "scored": _scored(w)}
-        for n, r, w in zip(job.names, recordings, job.walks, strict=True)
-    ]
+def recordings_of(job: Job, recordings: Sequence[Recording]) -> list[dict[str, Any]]:
+    """Each recording's name, fingerprint, hashes of its streams and of what it is scored by."""
+    entries: list[dict[str, Any]] = []
+    for name, recording, walk in zip(job.names, recordings, job.walks, strict=True):
+        found = streams(recording)
+        entries.append(
+            {"name": name, "fingerprint": fingerprint_of(found), "streams": found, "scored": _scored(walk)}
+        )
+    return entries
 
 
 def _scored(walk: Walk) -> str:
-    """A short hash of what a fingerprint leaves out: time, and the points a run is scored at."""
+    """A short hash of what a fingerprint leaves out: the clock as read, and the points a run is scored at."""
     digest = hashlib.sha256()
     attitude = np.zeros(0) if walk.attitude is None else walk.attitude
     for values in (walk.imu.time, walk.index, walk.position, attitude):

@@ -80,7 +80,7 @@ def open_store(path: str | Path, manifest: Mapping[str, Any]) -> Store:
     if target.exists():
         found = _manifest(place)
         if found["identity"] != wanted["identity"]:
-            changed = sorted(k for k in {*found, *wanted} - {"identity"} if found.get(k) != wanted.get(k))
+            changed = _changed(found, wanted)
             raise InputError(
                 f"{place}: holds another sweep (different: {', '.join(changed)}); choose another --out, or "
                 "delete the folder"
@@ -91,6 +91,21 @@ def open_store(path: str | Path, manifest: Mapping[str, Any]) -> Store:
         write_json(target, wanted)
     folder(place / "table")
     return Store(place, wanted)
+
+
+def _changed(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+    """What differs between two manifests: their keys, and of recordings that go by the same names what has
+    changed in them."""
+    keys = sorted(k for k in {*found, *wanted} - {"identity"} if found.get(k) != wanted.get(k))
+    pairs = list(zip(found.get("recordings", []), wanted["recordings"], strict=False))
+    if "recordings" not in keys or [a["name"] for a, _ in pairs] != [b["name"] for _, b in pairs]:
+        return keys
+    parts = []
+    for old, new in pairs:
+        own = [{**entry.get("streams", {}), "what it is scored at": entry["scored"]} for entry in (old, new)]
+        differ = [k for k in dict.fromkeys([*own[0], *own[1]]) if own[0].get(k) != own[1].get(k)]
+        parts += [f"{new['name']} {k}" for k in differ]
+    return [f"recordings, namely {'; '.join(parts)}" if k == "recordings" and parts else k for k in keys]
 
 
 def tidy(store: Store) -> None:

@@ -19,6 +19,7 @@ from pedjax.errors import InputError
 from pedjax.evaluation.landmarks import ALIGNMENTS
 from pedjax.evaluation.scores import score_kind
 from pedjax.gates import SoftGate
+from pedjax.identity import fingerprint
 from pedjax.packing import Batches, pack_all
 from pedjax.parameters import Spec
 from pedjax.recording import Clock, Recording
@@ -27,7 +28,7 @@ from pedjax.system import System
 from pedjax.systems import system as find_system
 from pedjax.tuning import objective
 from pedjax.tuning.judging import Judge
-from pedjax.tuning.split import fingerprint, refuse_overlap
+from pedjax.tuning.split import refuse_overlap
 from pedjax.walks import Sensors, distinct
 
 Progress = Callable[[int, int, float], None]

@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 
 import numpy as np
 
 from pedjax.errors import InputError
+from pedjax.identity import fingerprint
 from pedjax.recording import Recording
-
-
-def fingerprint(recording: Recording) -> str:
-    """A short hash of a recording's samples: the same walk under another name has the same one."""
-    digest = hashlib.sha256()
-    for name in sorted(recording.sensors):
-        sensor = recording.sensors[name]
-        for stream in (sensor.accelerometer, sensor.gyroscope):
-            digest.update(np.ascontiguousarray(stream.values, np.float32).tobytes())
-    return digest.hexdigest()[:16]
 
 
 def split(

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pedjax.calibration import ellipsoid
-from pedjax.calibration.magnetometer import apply, apply_level, uncalibrated
+from pedjax.calibration.magnetometer import apply, uncalibrated
 from tests.calibration.common import (
     B_C,
     FITS,
@@ -188,8 +188,3 @@ def test_apply(rng):
     np.testing.assert_allclose(np.linalg.norm(apply(whole, points), axis=1), STRENGTH, rtol=1e-9)
     np.testing.assert_allclose(apply(whole, points[3]), k @ (points[3] - B_C), atol=1e-6)
     np.testing.assert_array_equal(apply(uncalibrated(), points), points)
-    np.testing.assert_array_equal(apply_level(uncalibrated(), points[:, :2]), points[:, :2])
-    turned = uncalibrated()._replace(
-        level_offset=jnp.array([1.0, 2]), level_matrix=jnp.array([[0.0, 2], [3, 0]])
-    )
-    np.testing.assert_allclose(apply_level(turned, jnp.array([[2.0, 5.0]])), [[6.0, 3.0]])

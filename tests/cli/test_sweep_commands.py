@@ -4,6 +4,7 @@ import csv
 import shutil
 import tomllib
 from contextlib import redirect_stdout
+from dataclasses import replace
 from io import StringIO
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from pedjax import parameters
 from pedjax.config import Config, load, presets, sweep_axes
 from pedjax.readers import write_csv
+from pedjax.recording import Stream
 from pedjax.sweeping.store import read_store
 from tests import tools
 from tests.cli.calling import call, metrics, refused
@@ -104,6 +106,29 @@ def test_another_sweep_into_the_same_folder_is_refused(default, capsys):
     for change in (("--seed", 1), ("--set", "sweep.loss=rms_2d"), ("--set", "gate.width=0.1")):
         error = refused(capsys, "sweep", "demo:0", "--set", "sweep.count=16", *BARE, "--out", out, *change)
         assert "holds another sweep" in error
+
+
+def test_it_does_not_go_on_where_a_recording_has_changed(tmp_path, demos, monkeypatch, capsys):
+    """A walk of the same name whose field is another."""
+    foot = demos[0].sensors["foot"]
+    time = foot.gyroscope.time
+
+    def write(field):
+        sensor = replace(foot, magnetometer=Stream(time, np.tile(field, (len(time), 1))))
+        write_csv(replace(demos[0], sensors={"foot": sensor}), tmp_path / "walk.csv")
+
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    args = ("sweep", tmp_path / "walk.csv", "--set", "sweep.count=16", *BARE, "--out", tmp_path / "out")
+    monkeypatch.setattr("pedjax.cli.sweeps.run_campaign", interrupt)
+    write([20.0, 0.0, -43.0])
+    assert call(*args) == 130
+    assert call(*args) == 130
+    write([0.0, 20.0, -43.0])
+    error = refused(capsys, *args)
+    assert "recordings, namely" in error
+    assert "foot.magnetometer); choose another --out" in error
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,10 @@
-"""Numbered stances, cleaning and means against loops."""
+"""Numbered stances, and cleaning, against loops."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pedjax.detectors import clean_stance, segment_mean, stance_id
+from pedjax.detectors import clean_stance, stance_id
 from tests.reference import detectors as naive
 
 number, clean = jax.jit(stance_id), jax.jit(clean_stance)
@@ -33,18 +32,3 @@ def test_cleaning_equals_loops(masks, rng, jitter):
 def test_a_run_as_long_as_the_limit_is_neither_gap_nor_short():
     mask = np.array([1] * 8 + [0] * 5 + [1] * 8 + [0] * 9 + [1] * 7 + [0] * 3, bool)
     np.testing.assert_array_equal(clean(mask, np.full(40, 0.01)), np.where(np.arange(40) < 21, mask, False))
-
-
-def test_segment_means(rng, masks):
-    x = rng.normal(size=(90, 2))
-    mean = jax.jit(segment_mean, static_argnums=2)
-    for mask in masks:
-        stances = naive.stance_id(mask)
-        found, onset, valid = mean(x, jnp.asarray(stances), 30)
-        count = stances.max() + 1
-        assert int(valid.sum()) == count
-        for k in range(count):
-            np.testing.assert_allclose(found[k], x[stances == k].mean(axis=0), atol=1e-14)
-            assert onset[k] == np.flatnonzero(stances == k)[0]
-        assert (np.asarray(onset)[count:] == -1).all()
-        assert np.isfinite(found).all()

@@ -13,7 +13,6 @@ from pedjax.evaluation.noise import (
     TERMS,
     Noise,
     allan_parts,
-    gauss_markov_deviation,
     identify,
     point_covariance,
     published_gauss_markov,
@@ -48,6 +47,11 @@ def vector(**values):
 
 
 # -------------------------------------------------------------------------------------------- the model
+
+
+def gauss_markov_deviation(std, time, tau):
+    values = vector(gauss_markov_std=std, gauss_markov_time=time)
+    return np.sqrt(allan_parts(values, tau)[:, -1])
 
 
 def test_gauss_markov_has_its_peak_where_it_is_published():

@@ -9,8 +9,8 @@ import pytest
 import pedjax
 from experiments import pyshoe_vicon
 from pedjax import config, parameters
+from pedjax.identity import fingerprint
 from pedjax.recording import Recording
-from pedjax.tuning import fingerprint
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from pedjax import rotations
 from pedjax.filters import covariance, measurements, strapdown
 from pedjax.filters.covariance import STATES, ProcessNoise, Rows
 from pedjax.filters.strapdown import Navigation
-from pedjax.lanes import matvec
+from pedjax.lanes import eye, matvec
 from tests.reference import filter as oracle
 
 GRAVITY = 9.81
@@ -35,11 +35,27 @@ def propagated(P, attitude, force_n, dt, noise):
 predict = jax.jit(propagated)
 
 
+def dense_transition(F, like, states=STATES):
+    """The dense `(3n, 3n, *L)` transition that `predict` applies blockwise."""
+    one = eye(3, like) * jnp.ones_like(like)
+
+    def whole(row, column):
+        if column not in F[row]:
+            return jnp.zeros_like(one)
+        matrix = F[row][column]
+        if matrix is None:
+            return one
+        return matrix if matrix.ndim == one.ndim else matrix * one
+
+    rows = [jnp.concatenate([whole(a, b) for b in states], axis=1) for a in states]
+    return jnp.concatenate(rows, axis=0)
+
+
 @jax.jit
 def transition(attitude, force_n, dt, noise):
     """Its F, dense."""
     F = covariance.inertial_transition(attitude, force_n, dt, noise)
-    return covariance.dense_transition(F, force_n[0])
+    return dense_transition(F, force_n[0])
 
 
 def random_spd(rng, lanes=(), size=15):

@@ -247,8 +247,11 @@ def full(walk):
     return Recording(
         "a walk",
         {"foot": foot, "left thigh": other},
-        landmarks=Landmarks(np.array([0.1, 1 / 3]), np.array([[0.0, 1 / 7, np.nan], [np.nan, np.nan, 3.0]])),
-        truth=Truth(walk.time[:50], truth, np.tile([1.0, 0, 0, 0], (50, 1))),
+        landmarks=Landmarks(
+            np.array([0.1, 1 / 3]), np.array([[0.0, 1 / 7, np.nan], [np.nan, np.nan, 3.0]]), "left thigh"
+        ),
+        truth=Truth(walk.time[:50], truth, np.tile([1.0, 0, 0, 0], (50, 1)), "foot"),
+        truths={"left thigh": Truth(walk.time[:40], walk.force[:40])},
         clock="uniform",
         notes=("a note",),
     )
@@ -266,11 +269,16 @@ def same(first, second):
             if mine is not None:
                 np.testing.assert_array_equal(mine.time, theirs.time)
                 np.testing.assert_array_equal(mine.values, theirs.values)
-    for kind, parts in (("landmarks", ("time", "position")), ("truth", ("time", "position", "quaternion"))):
-        mine, theirs = getattr(first, kind), getattr(second, kind)
+    assert list(first.truths) == list(second.truths)
+    pairs = [(first.landmarks, second.landmarks), (first.truth, second.truth)]
+    pairs += [(first.truths[name], second.truths[name]) for name in first.truths]
+    for mine, theirs in pairs:
         assert (mine is None) == (theirs is None)
-        for part in parts if mine is not None else ():
-            np.testing.assert_array_equal(getattr(mine, part), getattr(theirs, part))
+        if mine is None:
+            continue
+        assert mine.sensor == theirs.sensor
+        for part in ("time", "position", "quaternion"):
+            np.testing.assert_array_equal(getattr(mine, part, None), getattr(theirs, part, None))
 
 
 @pytest.mark.parametrize("name", ["out/w.csv", "w.csv.gz"])
@@ -279,8 +287,7 @@ def test_written_files_read_back_identically(tmp_path, walk, name):
     sidecar = write_csv(recording, tmp_path / name)
     assert sidecar == tmp_path / f"{name}.toml"
     same(recording, read(tmp_path / name))
-    leftover = [p.name for p in (tmp_path / name).parent.iterdir() if p.suffix == ".part"]
-    assert leftover == []
+    assert list((tmp_path / name).parent.glob(".*.tmp")) == []
 
 
 def test_of_several_sensors_one_is_kept(tmp_path, walk):
@@ -292,9 +299,9 @@ def test_of_several_sensors_one_is_kept(tmp_path, walk):
 
 def test_writing_where_nothing_can_be_written(tmp_path, walk):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(InputError, match="cannot write there"):
         write_csv(full(walk), tmp_path / "file" / "w.csv")
     (tmp_path / "folder.csv").mkdir()
     with pytest.raises(InputError, match="cannot be written"):
         write_csv(full(walk), tmp_path / "folder.csv")
-    assert [p.name for p in tmp_path.iterdir() if p.suffix == ".part"] == []
+    assert list(tmp_path.glob(".*.tmp")) == []

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from pedjax import InputError
-from pedjax.plots.fields import field_map
 from pedjax.simulation import fields
 from pedjax.simulation.earth import declination, homogeneous, inclination, norm
 from pedjax.simulation.fields import Cylinders, Dipoles, Lines, Movers, compose, field_at
@@ -471,26 +470,3 @@ def test_floor_magnet():
     assert abs(declination(over)) > np.pi / 4
     assert abs(declination(beside)) < 0.03
     assert abs(inclination(beside) - np.radians(64)) < 0.03
-
-
-def test_maps(tmp_path):
-    field = compose(fields.street_template(1), fields.floor_magnet((8.0, -8.0)))
-    for what in ("norm", "inclination", "heading_error"):
-        figure = field_map(field, (6.0, 22.0), (-20.0, 15.0), 0.5, what, mode="nearest")
-        figure.savefig(tmp_path / f"{what}.png", dpi=30)
-    values = figure.axes[0].collections[0].get_array().reshape(300, -1)
-    assert np.ma.getmaskarray(values).sum() > 50  # in the car
-    # a field turned to the east, clockwise, makes a compass read that much too far counter-clockwise
-    turned = compose([0.0, 20.0, 0.0])
-    turned = compose(
-        turned, Lines(np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 1.0, 0.0]]), np.array([50.0]))
-    )
-    values = (
-        field_map(turned, (-0.1, 0.1), (-0.1, 0.1), 0.0, "heading_error").axes[0].collections[0].get_array()
-    )
-    np.testing.assert_allclose(np.median(np.asarray(values)), np.degrees(np.arctan2(10.0, 20.0)), rtol=0.02)
-    field_map(compose(MUNICH), (0.0, 1.0), (0.0, 3.0), 0.0)
-    with pytest.raises(InputError, match="did you mean 'norm'"):
-        field_map(field, (0.0, 1.0), (0.0, 1.0), 0.0, "norms")
-    with pytest.raises(InputError, match="must rise"):
-        field_map(field, (1.0, 0.0), (0.0, 1.0), 0.0)

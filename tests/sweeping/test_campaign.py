@@ -20,6 +20,7 @@ import pytest
 import pedjax
 from pedjax.errors import InputError
 from pedjax.evaluation.scores import told_with
+from pedjax.recording import Stream
 from pedjax.sweeping import engine
 from pedjax.sweeping import store as keep
 from pedjax.sweeping.campaign import Rounds, manifest_of, run_campaign
@@ -264,6 +265,24 @@ def test_another_truth_or_clock_is_another_sweep(work, recordings, design, what)
         changed = replace(first, sensors={"foot": replace(foot, **slower)}, landmarks=None)
     one, two = (manifest_of(engine.job([r]), [r], design, Rounds(), {}) for r in (first, changed))
     assert keep.identity_of(one) != keep.identity_of(two)
+
+
+def field_turned(recording, degrees):
+    """The recording with a steady field in body axes, turned about z by that angle."""
+    foot, angle = recording.sensors["foot"], np.radians(degrees)
+    time = foot.gyroscope.time
+    field = np.tile([20 * np.cos(angle), 20 * np.sin(angle), -43.0], (len(time), 1))
+    return replace(recording, sensors={"foot": replace(foot, magnetometer=Stream(time, field))})
+
+
+def test_a_sweep_does_not_go_on_with_another_field(tmp_path, recordings, design):
+    first, second = ([field_turned(recordings[0], angle), recordings[1]] for angle in (0.0, 90.0))
+    one, two = (manifest_of(engine.job(r), r, design, Rounds(), {}) for r in (first, second))
+    keep.open_store(tmp_path, one)
+    with pytest.raises(
+        InputError, match=r"\(different: recordings, namely [^;]* foot\.magnetometer\); choose another --out"
+    ):
+        keep.open_store(tmp_path, two)
 
 
 def test_what_is_no_sweep_is_refused(tmp_path, whole):

@@ -35,9 +35,7 @@ def made():
 
 
 def _renamed(world):
-    sensors = dict(world.recording.sensors)
-    sensors["belt"] = sensors.pop("waist")
-    return replace(world.recording, sensors=sensors), world
+    return world.recording.renamed({"waist": "belt"}), world
 
 
 @pytest.fixture(scope="module")

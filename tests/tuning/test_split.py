@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from pedjax import split
 from pedjax.errors import InputError
-from pedjax.tuning import fingerprint
+from pedjax.identity import fingerprint
+from pedjax.recording import Stream
 from pedjax.tuning.split import refuse_overlap
 from tests import tools
 
@@ -16,6 +18,52 @@ def test_fingerprint_is_of_the_samples_alone(demos):
     assert len(set(prints)) == len(demos)
     assert fingerprint(replace(demos[0], name="other", landmarks=None)) == prints[0]
     assert fingerprint(tools.crop(demos[0], 11.0)) != prints[0]
+    assert fingerprint(shifted(demos[0], 1.7e9)) == prints[0]
+
+
+def changed(recording, kind, change):
+    """The recording with another stream of that kind on its first sensor."""
+    name, sensor = next(iter(recording.sensors.items()))
+    sensor = replace(sensor, **{kind: change(getattr(sensor, kind))})
+    return replace(recording, sensors={**recording.sensors, name: sensor})
+
+
+def shifted(recording, seconds):
+    sensor = recording.sensor()
+    later = {
+        kind: Stream(stream.time + seconds, stream.values)
+        for kind in ("accelerometer", "gyroscope", "magnetometer")
+        for stream in [getattr(sensor, kind)]
+    }
+    return replace(recording, sensors={"foot": replace(sensor, **later)}, landmarks=None, truth=None)
+
+
+def with_field(recording, turned_deg=0.0):
+    """A field of 48 microtesla in body axes, turned about z."""
+    angle = np.radians(turned_deg)
+    time = recording.sensor().gyroscope.time
+    field = np.tile([20 * np.cos(angle), 20 * np.sin(angle), -43.0], (len(time), 1))
+    return changed(recording, "magnetometer", lambda _: Stream(time, field))
+
+
+OTHER = {
+    "field": lambda r: with_field(r, 90.0),
+    "no field": lambda r: changed(r, "magnetometer", lambda _: None),
+    "a last bit": lambda r: changed(r, "gyroscope", lambda s: Stream(s.time, s.values * (1 + 2**-50))),
+    "time": lambda r: changed(r, "gyroscope", lambda s: Stream(1.001 * s.time, s.values)),
+    "clock of the field": lambda r: changed(r, "magnetometer", lambda s: Stream(s.time + 0.01, s.values)),
+    "name of the sensor": lambda r: r.renamed({"foot": "waist"}),
+}
+
+
+@pytest.mark.parametrize("what", OTHER)
+def test_fingerprint_tells_all_that_was_measured(demos, what):
+    first = with_field(demos[0])
+    other = OTHER[what](first)
+    assert fingerprint(other) != fingerprint(first)
+    refuse_overlap([fingerprint(first)], [other])
+    with pytest.raises(InputError, match="was tuned on"):
+        refuse_overlap([fingerprint(first), fingerprint(other)], [other])
 
 
 def test_split_covers_all_and_depends_on_no_order(demos):
