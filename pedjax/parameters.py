@@ -339,6 +339,13 @@ def flatten(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
+def _told(allowed: tuple[Any, ...]) -> str:
+    """Choices in a line; whole numbers without a gap by the first and the last."""
+    if len(allowed) > 2 and all(isinstance(c, int) and c == allowed[0] + k for k, c in enumerate(allowed)):
+        return f"{allowed[0]} to {allowed[-1]}"
+    return " | ".join(str(c) for c in allowed)
+
+
 def table(tree: Any) -> str:
     """Two lines for each leaf and setting: path, value, unit, bounds, source, and what it means. A leaf that
     has no effect under these settings says why."""
@@ -350,7 +357,7 @@ def table(tree: Any) -> str:
             idle = idle_because(tree, path)
             meanings.append(about.meaning + (f" [no effect: {idle}]" if idle else ""))
         else:
-            allowed = " | ".join(str(c) for c in about.choices)
+            allowed = _told(about.choices)
             rows.append((path, str(value), "setting", allowed, about.source))
             meanings.append(about.meaning)
     widths = [max(len(row[i]) for row in rows) for i in range(4)]

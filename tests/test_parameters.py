@@ -300,3 +300,26 @@ def test_a_choice_can_be_offered_from_outside():
     assert parameters.choices(again)["kind"].choices == ("first", "second", "third")
     assert again.second == Better()
     assert len(jax.tree.leaves(again)) == 4
+
+
+def test_every_leaf_and_setting_says_what_it_means():
+    """A sentence each; of two leaves that share one, both are the same field of the same class."""
+    for system in SYSTEMS.values():
+        tree = system.defaults()
+        known = parameters.specs(tree) | parameters.choices(tree)
+        assert set(known) == set(parameters.values(tree))
+        for path, about in known.items():
+            assert 20 <= len(about.meaning) <= 170, (system.name, path, about.meaning)
+            assert about.meaning.endswith("."), (system.name, path, about.meaning)
+        fields: dict[str, set[int]] = {}
+        for spec in parameters.specs(tree).values():
+            fields.setdefault(spec.meaning, set()).add(id(spec))
+        assert [meaning for meaning, ids in fields.items() if len(ids) > 1] == []
+
+
+def test_an_undisturbed_field_matters_only_to_a_heading_that_is_held_against_it():
+    tree = SYSTEMS["ma2018"].defaults()
+    given = parameters.replace(tree, {"compass.reference": "given"})
+    assert "compass.strength" in parameters.active(given) - parameters.active(tree)
+    anchored = parameters.replace(given, {"compass.update": "anchored"})
+    assert parameters.idle_because(anchored, "compass.strength") == "compass.update is 'anchored'"

@@ -44,7 +44,11 @@ class Tracker(TrackerParameters):
     `ma2018_tracked` is for buildings.
     """
 
-    lag_s: float = setting(0.0, source="0: none")
+    lag_s: float = setting(
+        0.0, source="0: none",
+        meaning="Time by which the magnetometer is behind the gyroscope; the tracker turns the field by "
+        "rates that much older.",
+    )  # fmt: skip
 
 
 @parameters
@@ -52,32 +56,63 @@ class Compass:
     """What is made of the field."""
 
     update: str = setting(
-        "heading", choices=("heading", "anchored", "differential", "none"), source="Ma 2018; Afzal 2011"
-    )
-    row: str = setting("full", choices=("full", "simple"), source="Ma 2018; simple: [0, 0, 1]")
-    start: str = setting("field", choices=("field", "given"), source=f"{_KIT}: yaw from the first field")
-    hard_iron: str = setting("fixed", choices=("fixed", "tracked"), source="fixed: published")
-    reference: str = setting("running", choices=("running", "given"), source=_KIT)
-    gyroscope_rows: bool = setting(False, source="Afzal 2011: option")
-    declination: Array = leaf(0.0, unit="rad", low=-3.2, high=3.2, scale="linear", source="0: magnetic north")
+        "heading", choices=("heading", "anchored", "differential", "none"), source="Ma 2018; Afzal 2011",
+        meaning="What a quasi-static field corrects: the heading; the attitude, from an anchor or look "
+        "to look; or nothing.",
+    )  # fmt: skip
+    row: str = setting(
+        "full", choices=("full", "simple"), source="Ma 2018; simple: [0, 0, 1]",
+        meaning="Row of the heading on the attitude error: full, with the influence of tilt, or simple, "
+        "of yaw alone.",
+    )  # fmt: skip
+    start: str = setting(
+        "field", choices=("field", "given"), source=f"{_KIT}: yaw from the first field",
+        meaning="Whether the first yaw comes from the mean field of the start, or is given as "
+        "initial.heading.",
+    )  # fmt: skip
+    hard_iron: str = setting(
+        "fixed", choices=("fixed", "tracked"), source="fixed: published",
+        meaning="Whether hard iron stays as calibrated, or is tracked while walking and taken off the "
+        "readings.",
+    )  # fmt: skip
+    reference: str = setting(
+        "running", choices=("running", "given"), source=_KIT,
+        meaning="Which strength and inclination count as undisturbed: the running mean of the looks, or "
+        "those given.",
+    )  # fmt: skip
+    gyroscope_rows: bool = setting(
+        False, source="Afzal 2011: option",
+        meaning="Whether a quasi-static field in stance also corrects the gyroscope's bias by how the "
+        "field turns.",
+    )  # fmt: skip
+    declination: Array = leaf(
+        0.0, unit="rad", low=-3.2, high=3.2, scale="linear", source="0: magnetic north",
+        meaning="Angle by which magnetic north lies east of true north; raised, headings and track turn "
+        "clockwise.",
+    )  # fmt: skip
     start_sigma: Array = leaf(
-        0.01, unit="rad", low=1e-4, high=3.2, source=_KIT, tune=True, when={"start": "field"}
-    )
+        0.01, unit="rad", low=1e-4, high=3.2, source=_KIT, tune=True, when={"start": "field"},
+        meaning="Standard deviation of the first yaw that the field gives; raised, early headings turn "
+        "the track more.",
+    )  # fmt: skip
     tail: Array = leaf(
-        1e6,
-        unit="1",
-        low=0.1,
-        high=1e9,
-        source="1e6, a Gaussian: published",
-        tune=True,
+        1e6, unit="1", low=0.1, high=1e9, source="1e6, a Gaussian: published", tune=True,
         when={"update": ("heading", "anchored", "differential")},
-    )
+        meaning="Degrees of freedom of the innovation's noise, large for a Gaussian; raised, outlying "
+        "headings count for more.",
+    )  # fmt: skip
     strength: Array = leaf(
-        48.0, unit="uT", low=10.0, high=100.0, source=f"{_KIT}: mid-latitudes", when={"reference": "given"}
-    )
+        48.0, unit="uT", low=10.0, high=100.0, source=f"{_KIT}: mid-latitudes",
+        when={"reference": "given", "update": "heading"},
+        meaning="Strength of the undisturbed field; raised, weak fields count as odder and strong ones "
+        "less so (noise.oddity).",
+    )  # fmt: skip
     inclination: Array = leaf(
-        1.1, unit="rad", low=-1.6, high=1.6, scale="linear", source=_KIT, when={"reference": "given"}
-    )
+        1.1, unit="rad", low=-1.6, high=1.6, scale="linear", source=_KIT,
+        when={"reference": "given", "update": "heading"},
+        meaning="Dip of the undisturbed field below the horizon; raised, flat fields count as odder, "
+        "steep ones less so.",
+    )  # fmt: skip
     looking: Looking = group(Looking)
     body: Body = group(Body)
     level: Level = group(Level)

@@ -38,31 +38,59 @@ class Gate(SoftGate):
     With either, `hysteresis` multiplies the threshold while the foot is held still already.
     """
 
-    kind: str = setting("fixed", choices=("fixed", "adaptive"), source="fixed: published")
-    hysteresis: Array = leaf(1.0, unit="1", low=1.0, high=100.0, source="1: published")
+    kind: str = setting(
+        "fixed", choices=("fixed", "adaptive"), source="fixed: published",
+        meaning="Whether the stance threshold is fixed, or follows the gait and lets the zero velocity's "
+        "noise grow.",
+    )  # fmt: skip
+    hysteresis: Array = leaf(
+        1.0, unit="1", low=1.0, high=100.0, source="1: published",
+        meaning="Factor on the stance threshold while the foot is still already; raised, a stance that "
+        "began ends later.",
+    )  # fmt: skip
     follow: Array = leaf(
-        0.0, unit="1", low=-0.5, high=1.5, scale="linear", source="0: published",
-        tune=True, when={"kind": "adaptive"},
+        0.0, unit="1", low=-0.5, high=1.5, scale="linear", source="0: published", tune=True,
+        when={"kind": "adaptive"},
+        meaning="Share of the statistic's recent log level that is added to the log threshold; raised, "
+        "it follows the gait more.",
     )  # fmt: skip
     follow_time: Array = leaf(
-        0.6, unit="s", low=0.05, high=30.0, source=_KIT, tune=True, when={"kind": "adaptive"}
-    )
+        0.6, unit="s", low=0.05, high=30.0, source=_KIT, tune=True, when={"kind": "adaptive"},
+        meaning="Time over which that recent level is averaged; raised, the threshold follows a change "
+        "of gait more slowly.",
+    )  # fmt: skip
     growth: Array = leaf(
-        0.0, unit="1", low=-0.5, high=3.0, scale="linear", source="0: published",
-        tune=True, when={"kind": "adaptive"},
+        0.0, unit="1", low=-0.5, high=3.0, scale="linear", source="0: published", tune=True,
+        when={"kind": "adaptive"},
+        meaning="How steeply the zero velocity's noise grows with the statistic; raised, a foot that is "
+        "less still corrects less.",
     )  # fmt: skip
     floor: Array = leaf(
-        0.0, unit="1", low=-10.0, high=10.0, scale="linear", source=_KIT, tune=True, when={"kind": "adaptive"}
-    )
+        0.0, unit="1", low=-10.0, high=10.0, scale="linear", source=_KIT, tune=True,
+        when={"kind": "adaptive"},
+        meaning="Log of statistic over threshold at which that noise begins to grow; raised, it stays "
+        "small for longer.",
+    )  # fmt: skip
 
 
 @parameters
 class Updates:
     """Measurement noises of a standing foot, and which rows are on."""
 
-    zero_velocity: Array = leaf(0.01, unit="m/s", low=1e-5, high=10.0, source="OpenShoe", tune=True)
-    zero_angular_rate: Array = leaf(0.05, unit="rad/s", low=1e-5, high=10.0, source=_KIT, when={"zaru": True})
-    zaru: bool = setting(False, source="not part of IEZ")
+    zero_velocity: Array = leaf(
+        0.01, unit="m/s", low=1e-5, high=10.0, source="OpenShoe", tune=True,
+        meaning="Standard deviation of a standing foot's velocity; raised, each stance corrects the "
+        "estimate less.",
+    )  # fmt: skip
+    zero_angular_rate: Array = leaf(
+        0.05, unit="rad/s", low=1e-5, high=10.0, source=_KIT, when={"zaru": True},
+        meaning="Standard deviation of a standing foot's turning; raised, stances correct the "
+        "gyroscope's bias less.",
+    )  # fmt: skip
+    zaru: bool = setting(
+        False, source="not part of IEZ",
+        meaning="Whether a standing foot also measures the gyroscope's bias, as it does not turn (ZARU).",
+    )  # fmt: skip
 
 
 class State(NamedTuple):

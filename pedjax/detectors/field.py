@@ -87,26 +87,58 @@ def _size(y: list[Array], absolute: bool) -> list[Array]:
 class Qsf:
     """QSF of Afzal, Renaudin and Lachapelle 2011: the rate of change of the field's strength alone."""
 
-    threshold: Array = leaf(3.9, unit="1", low=1e-4, high=1e6, source=_FINDS, tune=True, point=True)
-    sigma_strength: Array = leaf(0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs")
-    form: str = setting("mean", choices=("mean", "energy"), source="Afzal 2011")
-    per: str = setting("step", choices=("step", "second"), source=_KIT)
+    threshold: Array = leaf(
+        3.9, unit="1", low=1e-4, high=1e6, source=_FINDS, tune=True, point=True,
+        meaning="Statistic of QSF below which the field is quasi-static; raised, more windows pass, "
+        "disturbed ones too.",
+    )  # fmt: skip
+    sigma_strength: Array = leaf(
+        0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs",
+        meaning="Usual change of strength in an undisturbed field; raised, changes count for less and "
+        "more windows pass.",
+    )  # fmt: skip
+    form: str = setting(
+        "mean", choices=("mean", "energy"), source="Afzal 2011",
+        meaning="Whether the changes are added up and then squared (mean), or squared and then added up "
+        "(energy).",
+    )  # fmt: skip
+    per: str = setting(
+        "step", choices=("step", "second"), source=_KIT,
+        meaning="Whether a change is counted as it is, from look to look (step), or divided by the time "
+        "between (second).",
+    )  # fmt: skip
 
 
 @parameters
 class Qmd(Qsf):
     """The classical quasi-static magnetic field detector (Zhang, Eq. 8-12): energy of the same rate."""
 
-    threshold: Array = leaf(6.2, unit="1", low=1e-4, high=1e6, source=_FINDS, tune=True, point=True)
-    form: str = setting("energy", choices=("mean", "energy"), source="Zhang")
+    threshold: Array = leaf(
+        6.2, unit="1", low=1e-4, high=1e6, source=_FINDS, tune=True, point=True,
+        meaning="Statistic of QMD below which the field is quasi-static; raised, more windows pass, "
+        "disturbed ones too.",
+    )  # fmt: skip
+    form: str = setting(
+        "energy", choices=("mean", "energy"), source="Zhang",
+        meaning="Whether the changes are added up and then squared (mean), or squared and then added up "
+        "(energy).",
+    )  # fmt: skip
 
 
 @parameters
 class Magyq:
     """Variance form: variance of the strength in the window, and the last one's distance from its mean."""
 
-    variance: Array = leaf(6.0, unit="uT^2", low=1e-4, high=1e4, source=_MAGYQ, tune=True, point=True)
-    outlier: Array = leaf(8.0, unit="uT", low=1e-3, high=1e3, source=_MAGYQ, point=True)
+    variance: Array = leaf(
+        6.0, unit="uT^2", low=1e-4, high=1e4, source=_MAGYQ, tune=True, point=True,
+        meaning="Variance of the window's strengths below which the field is quasi-static; raised, more "
+        "windows pass.",
+    )  # fmt: skip
+    outlier: Array = leaf(
+        8.0, unit="uT", low=1e-3, high=1e3, source=_MAGYQ, point=True,
+        meaning="Distance of the last strength from the window's mean below which it passes; raised, "
+        "more windows pass.",
+    )  # fmt: skip
 
 
 @parameters
@@ -114,11 +146,30 @@ class Iqsf:
     """iQSF (Ma 2016), rebuilt from the description in Ma 2018: changes of strength, of magnetic heading and
     of gyroscope heading, so that only a straight path can pass. Its own parameters are not public."""
 
-    threshold: Array = leaf(16.1, unit="1", low=1e-3, high=1e7, source=_FINDS, tune=True, point=True)
-    sigma_heading: Array = leaf(0.067, unit="rad", low=1e-5, high=3.0, source=f"{_KIT}: as Ma 2018")
-    sigma_strength: Array = leaf(0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs")
-    absolute: bool = setting(True, source=_KIT)
-    per: str = setting("step", choices=("step", "second"), source=_KIT)
+    threshold: Array = leaf(
+        16.1, unit="1", low=1e-3, high=1e7, source=_FINDS, tune=True, point=True,
+        meaning="Statistic of iQSF below which the field is quasi-static; raised, more windows pass, "
+        "curved paths too.",
+    )  # fmt: skip
+    sigma_heading: Array = leaf(
+        0.067, unit="rad", low=1e-5, high=3.0, source=f"{_KIT}: as Ma 2018",
+        meaning="Usual change of magnetic and of gyroscope heading in iQSF; raised, turning counts for "
+        "less and more pass.",
+    )  # fmt: skip
+    sigma_strength: Array = leaf(
+        0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs",
+        meaning="Usual change of strength in iQSF; raised, changes of strength count for less and more "
+        "windows pass.",
+    )  # fmt: skip
+    absolute: bool = setting(
+        True, source=_KIT,
+        meaning="Whether the sizes of changes are added up, so that changes of opposite sign do not cancel.",
+    )  # fmt: skip
+    per: str = setting(
+        "step", choices=("step", "second"), source=_KIT,
+        meaning="Whether a change is counted as it is, from look to look (step), or divided by the time "
+        "between (second).",
+    )  # fmt: skip
 
 
 @parameters
@@ -126,15 +177,44 @@ class Ma:
     """Ma 2018: changes of heading difference, inclination and strength (Eq. 26)."""
 
     threshold: Array = leaf(
-        15.7, unit="1", low=1e-3, high=1e7, source=f"{_FINDS}; published 170", tune=True, point=True
-    )
-    sigma_heading: Array = leaf(0.067, unit="rad", low=1e-5, high=3.0, source=_MA)
-    sigma_inclination: Array = leaf(0.054, unit="rad", low=1e-5, high=3.0, source=_MA)
-    sigma_strength: Array = leaf(0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs")
-    theta: str = setting("rate", choices=("rate", "level"), source=f"{_MA}: abstract; level: Eq. 13")
-    absolute: bool = setting(True, source=_MA)
-    form: str = setting("mean", choices=("mean", "energy"), source=_MA)
-    per: str = setting("step", choices=("step", "second"), source=_KIT)
+        15.7, unit="1", low=1e-3, high=1e7, source=f"{_FINDS}; published 170", tune=True, point=True,
+        meaning="Statistic of Ma's test below which the field is quasi-static; raised, more windows "
+        "pass, disturbed ones too.",
+    )  # fmt: skip
+    sigma_heading: Array = leaf(
+        0.067, unit="rad", low=1e-5, high=3.0, source=_MA,
+        meaning="Usual change of heading difference in Ma's test; raised, headings count for less and "
+        "more windows pass.",
+    )  # fmt: skip
+    sigma_inclination: Array = leaf(
+        0.054, unit="rad", low=1e-5, high=3.0, source=_MA,
+        meaning="Usual change of inclination in Ma's test; raised, inclinations count for less and more "
+        "windows pass.",
+    )  # fmt: skip
+    sigma_strength: Array = leaf(
+        0.535, unit="uT", low=1e-4, high=100.0, source=f"{_MA}: 5.35 mGs",
+        meaning="Usual change of strength in Ma's test; raised, strengths count for less and more "
+        "windows pass.",
+    )  # fmt: skip
+    theta: str = setting(
+        "rate", choices=("rate", "level"), source=f"{_MA}: abstract; level: Eq. 13",
+        meaning="Whether the test takes the change of the heading difference (rate), or the difference "
+        "itself (level).",
+    )  # fmt: skip
+    absolute: bool = setting(
+        True, source=_MA,
+        meaning="Whether the sizes of changes are added up, so that changes of opposite sign do not cancel.",
+    )  # fmt: skip
+    form: str = setting(
+        "mean", choices=("mean", "energy"), source=_MA,
+        meaning="Whether the changes are added up and then squared (mean), or squared and then added up "
+        "(energy).",
+    )  # fmt: skip
+    per: str = setting(
+        "step", choices=("step", "second"), source=_KIT,
+        meaning="Whether a change is counted as it is, from look to look (step), or divided by the time "
+        "between (second).",
+    )  # fmt: skip
 
 
 @parameters
@@ -148,13 +228,32 @@ class Vector:
     that no field with such a change passes more often).
     """
 
-    false_alarm: Array = leaf(0.1, unit="1", low=1e-6, high=0.999, source=_KIT, tune=True, point=True)
+    false_alarm: Array = leaf(
+        0.1, unit="1", low=1e-6, high=0.999, source=_KIT, tune=True, point=True,
+        meaning="Chance that a window with a change as long as `change` passes as quasi-static; raised, "
+        "more windows pass.",
+    )  # fmt: skip
     change: Array = leaf(
-        3.0, unit="uT", low=1e-3, high=100.0, source=f"{_KIT}: what quasi-static means", tune=True, point=True
-    )
-    sigma_field: Array = leaf(0.1, unit="uT", low=1e-4, high=100.0, source=f"{_KIT}: of one look")
-    sigma_tilt: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two")
-    sigma_yaw: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two")
+        3.0, unit="uT", low=1e-3, high=100.0, source=f"{_KIT}: what quasi-static means", tune=True,
+        point=True,
+        meaning="Change of the field that is to be noticed; raised, the threshold grows and more windows "
+        "pass.",
+    )  # fmt: skip
+    sigma_field: Array = leaf(
+        0.1, unit="uT", low=1e-4, high=100.0, source=f"{_KIT}: of one look",
+        meaning="Noise of one look along each axis; raised towards `change`, changes across the "
+        "field must be smaller to pass.",
+    )  # fmt: skip
+    sigma_tilt: Array = leaf(
+        0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two",
+        meaning="Error of roll and pitch between two looks; raised above sigma_yaw, the field must "
+        "change less to pass.",
+    )  # fmt: skip
+    sigma_yaw: Array = leaf(
+        0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=f"{_KIT}: between two",
+        meaning="Error of yaw between two looks; raised above sigma_tilt, the field must change less to "
+        "pass.",
+    )  # fmt: skip
 
 
 def _qsf(p: Qsf, window: Window, north: Array) -> Array:
@@ -257,8 +356,16 @@ def register_field_detector(name: str, log_ratio: Callable[[Any, Window, Array],
 class FieldParameters(SoftGate):
     """Which detector is on, its window in steps (or samples), and the numbers of all of them."""
 
-    detector: str = setting("ma", choices=tuple(FIELD_DETECTORS), source=_MA)
-    window: int = setting(3, choices=tuple(range(1, 31)), source=f"{_MA}: N = 3 steps")
+    detector: str = setting(
+        "ma", choices=tuple(FIELD_DETECTORS), source=_MA,
+        meaning="Which statistic decides whether the field is quasi-static; only the group of that name "
+        "has an effect.",
+    )  # fmt: skip
+    window: int = setting(
+        3, choices=tuple(range(1, 31)), source=f"{_MA}: N = 3 steps",
+        meaning="Number of changes that must be small together; longer, only a field steady over more "
+        "looks passes.",
+    )  # fmt: skip
     qsf: Qsf = group(Qsf, when={"detector": "qsf"})
     qmd: Qmd = group(Qmd, when={"detector": "qmd"})
     magyq: Magyq = group(Magyq, when={"detector": "magyq"})

@@ -31,11 +31,24 @@ class Shoe:
     """SHOE, the generalised likelihood ratio test of Skog et al. 2010."""
 
     threshold: Array = leaf(
-        8.5e7, unit="1", low=1e3, high=1e12, source=f"{_PYSHOE} (mixed gait)", tune=True, point=True
-    )
-    sigma_accelerometer: Array = leaf(0.00098, unit="m/s^2", low=1e-5, high=10.0, source=_PYSHOE)
-    sigma_gyroscope: Array = leaf(8.7266463e-5, unit="rad/s", low=1e-7, high=1.0, source=_PYSHOE)
-    window_s: float = setting(0.025, source="PyShoe: W = 5 at 200 Hz")
+        8.5e7, unit="1", low=1e3, high=1e12, source=f"{_PYSHOE} (mixed gait)", tune=True, point=True,
+        meaning="Statistic below which the foot counts as still; raised, more samples are taken for "
+        "stance, moving ones too.",
+    )  # fmt: skip
+    sigma_accelerometer: Array = leaf(
+        0.00098, unit="m/s^2", low=1e-5, high=10.0, source=_PYSHOE,
+        meaning="Noise by which SHOE divides the force's part; raised, the force counts for less and "
+        "more samples pass.",
+    )  # fmt: skip
+    sigma_gyroscope: Array = leaf(
+        8.7266463e-5, unit="rad/s", low=1e-7, high=1.0, source=_PYSHOE,
+        meaning="Noise by which SHOE divides the rate's part; raised, the rate counts for less and more "
+        "samples pass.",
+    )  # fmt: skip
+    window_s: float = setting(
+        0.025, source="PyShoe: W = 5 at 200 Hz",
+        meaning="Length of the window of SHOE; longer, a short rest no longer counts as stance.",
+    )  # fmt: skip
 
 
 @parameters
@@ -43,34 +56,65 @@ class Ared:
     """ARED, angular rate energy."""
 
     threshold: Array = leaf(
-        0.55, unit="rad^2/s^2", low=1e-5, high=1e3, source=f"{_PYSHOE} (mixed gait)", tune=True, point=True
-    )
-    window_s: float = setting(0.025, source="PyShoe: W = 5 at 200 Hz")
+        0.55, unit="rad^2/s^2", low=1e-5, high=1e3, source=f"{_PYSHOE} (mixed gait)", tune=True, point=True,
+        meaning="Mean square angular rate below which the foot counts as still; raised, more samples are "
+        "taken for stance.",
+    )  # fmt: skip
+    window_s: float = setting(
+        0.025, source="PyShoe: W = 5 at 200 Hz",
+        meaning="Length of the window of ARED; longer, a short rest no longer counts as stance.",
+    )  # fmt: skip
 
 
 @parameters
 class Amvd:
     """AMVD, moving variance of the specific force."""
 
-    threshold: Array = leaf(0.3, unit="m^2/s^4", low=1e-5, high=1e4, source=_KIT, tune=True, point=True)
-    window_s: float = setting(0.025, source="PyShoe: W = 5 at 200 Hz")
+    threshold: Array = leaf(
+        0.3, unit="m^2/s^4", low=1e-5, high=1e4, source=_KIT, tune=True, point=True,
+        meaning="Variance of the force below which the foot counts as still; raised, more samples are "
+        "taken for stance.",
+    )  # fmt: skip
+    window_s: float = setting(
+        0.025, source="PyShoe: W = 5 at 200 Hz",
+        meaning="Length of the window of AMVD; longer, a short rest no longer counts as stance.",
+    )  # fmt: skip
 
 
 @parameters
 class Mag:
     """MAG, magnitude of the specific force against gravity."""
 
-    threshold: Array = leaf(1.0, unit="1", low=1e-5, high=1e12, source=_KIT, tune=True, point=True)
-    sigma_accelerometer: Array = leaf(0.5, unit="m/s^2", low=1e-5, high=10.0, source=_KIT)
-    window_s: float = setting(0.025, source="PyShoe: W = 5 at 200 Hz")
+    threshold: Array = leaf(
+        1.0, unit="1", low=1e-5, high=1e12, source=_KIT, tune=True, point=True,
+        meaning="Mean square of the force's size less gravity, scaled, below which the foot is still; "
+        "raised, more samples are.",
+    )  # fmt: skip
+    sigma_accelerometer: Array = leaf(
+        0.5, unit="m/s^2", low=1e-5, high=10.0, source=_KIT,
+        meaning="Noise by which MAG divides the force's size less gravity; raised, the statistic falls "
+        "and more samples pass.",
+    )  # fmt: skip
+    window_s: float = setting(
+        0.025, source="PyShoe: W = 5 at 200 Hz",
+        meaning="Length of the window of MAG; longer, a short rest no longer counts as stance.",
+    )  # fmt: skip
 
 
 @parameters
 class Mbgtd:
     """MBGTD, memory-based graph-theoretic detector."""
 
-    threshold: Array = leaf(0.3, unit="m/s^2", low=1e-4, high=1e3, source=_KIT, tune=True, point=True)
-    window_s: float = setting(0.025, source="kit choice: W = 5 at 200 Hz (PyShoe tunes with 2)")
+    threshold: Array = leaf(
+        0.3, unit="m/s^2", low=1e-4, high=1e3, source=_KIT, tune=True, point=True,
+        meaning="Weighted distance of earlier and later forces below which the foot is still; raised, "
+        "more samples are stance.",
+    )  # fmt: skip
+    window_s: float = setting(
+        0.025, source="kit choice: W = 5 at 200 Hz (PyShoe tunes with 2)",
+        meaning="Length of the window of MBGTD; longer, the statistic grows and takes much more time to "
+        "compute.",
+    )  # fmt: skip
 
 
 @parameters
@@ -78,12 +122,33 @@ class Eps:
     """EPS, variances of energy, product and sum (Sejong 2020, Eq. 1-9). Thresholds are not published:
     the defaults are ten times the 95th percentile of a foot's stance on public recordings at 100-250 Hz."""
 
-    energy: Array = leaf(40.0, unit="m^4/s^8", low=1e-4, high=1e8, source=_KIT, tune=True, point=True)
-    product: Array = leaf(10.0, unit="m^4/s^8", low=1e-4, high=1e8, source=_KIT, point=True)
-    total: Array = leaf(0.5, unit="m^2/s^4", low=1e-5, high=1e6, source=_KIT, point=True)
-    rate_variance: Array = leaf(0.05, unit="rad^4/s^4", low=1e-8, high=1e6, source=_KIT, point=True)
-    rate_energy: Array = leaf(0.55, unit="rad^2/s^2", low=1e-5, high=1e4, source=_KIT, tune=True, point=True)
-    window_s: float = setting(0.15, source="Sejong 2020: 15 samples at 100 Hz")
+    energy: Array = leaf(
+        40.0, unit="m^4/s^8", low=1e-4, high=1e8, source=_KIT, tune=True, point=True,
+        meaning="Limit of the variance of f_x^2 + f_z^2 (x forward, z vertical) in stance; raised, this "
+        "test rejects fewer samples.",
+    )  # fmt: skip
+    product: Array = leaf(
+        10.0, unit="m^4/s^8", low=1e-4, high=1e8, source=_KIT, point=True,
+        meaning="Limit of the variance of f_x f_z in stance; raised, this test rejects fewer samples.",
+    )  # fmt: skip
+    total: Array = leaf(
+        0.5, unit="m^2/s^4", low=1e-5, high=1e6, source=_KIT, point=True,
+        meaning="Limit of the variance of f_x + f_z in stance; raised, this test rejects fewer samples.",
+    )  # fmt: skip
+    rate_variance: Array = leaf(
+        0.05, unit="rad^4/s^4", low=1e-8, high=1e6, source=_KIT, point=True,
+        meaning="Limit of the variance of the rate's energy about x and y in stance; raised, this test "
+        "rejects fewer samples.",
+    )  # fmt: skip
+    rate_energy: Array = leaf(
+        0.55, unit="rad^2/s^2", low=1e-5, high=1e4, source=_KIT, tune=True, point=True,
+        meaning="Limit of the rate's energy about x and y in stance; raised, this test rejects fewer "
+        "samples.",
+    )  # fmt: skip
+    window_s: float = setting(
+        0.15, source="Sejong 2020: 15 samples at 100 Hz",
+        meaning="Length of the window of EPS; longer, a short rest no longer counts as stance.",
+    )  # fmt: skip
 
 
 def _shoe(p: Shoe, e: Array, gravity: Array) -> Array:
@@ -144,8 +209,16 @@ class StanceParameters:
     blocks that holds it (PyShoe, not causal within a block; its last incomplete block is *not* still here).
     """
 
-    detector: str = setting("shoe", choices=tuple(DETECTORS), source=_PYSHOE)
-    rule: str = setting("causal", choices=RULES, source=_KIT)
+    detector: str = setting(
+        "shoe", choices=tuple(DETECTORS), source=_PYSHOE,
+        meaning="Which statistic decides whether the foot is still; only the group of that name has an "
+        "effect.",
+    )  # fmt: skip
+    rule: str = setting(
+        "causal", choices=RULES, source=_KIT,
+        meaning="Which windows decide on a sample: the one that ends there, any or all that cover it, or "
+        "its block's.",
+    )  # fmt: skip
     shoe: Shoe = group(Shoe, when={"detector": "shoe"})
     ared: Ared = group(Ared, when={"detector": "ared"})
     amvd: Amvd = group(Amvd, when={"detector": "amvd"})

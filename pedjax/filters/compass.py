@@ -30,29 +30,80 @@ _DEGREE = 0.017453292519943295
 class Level:
     """Calibration of the levelled field by a walked loop (Ma 2018, Eq. 6-12): W (m − o), W symmetric."""
 
-    offset_x: Array = leaf(0.0, unit="uT", low=-200.0, high=200.0, scale="linear", source="0: calibrated")
-    offset_y: Array = leaf(0.0, unit="uT", low=-200.0, high=200.0, scale="linear", source="0: calibrated")
-    xx: Array = leaf(1.0, unit="1", low=0.1, high=10.0, source="1: calibrated")
-    xy: Array = leaf(0.0, unit="1", low=-3.0, high=3.0, scale="linear", source="0: calibrated")
-    yy: Array = leaf(1.0, unit="1", low=0.1, high=10.0, source="1: calibrated")
+    offset_x: Array = leaf(
+        0.0, unit="uT", low=-200.0, high=200.0, scale="linear", source="0: calibrated",
+        meaning="Offset along x, subtracted from the levelled field.",
+    )  # fmt: skip
+    offset_y: Array = leaf(
+        0.0, unit="uT", low=-200.0, high=200.0, scale="linear", source="0: calibrated",
+        meaning="Offset along y, subtracted from the levelled field.",
+    )  # fmt: skip
+    xx: Array = leaf(
+        1.0, unit="1", low=0.1, high=10.0, source="1: calibrated",
+        meaning="Element xx of W: how much of the levelled field's x is in the corrected x.",
+    )  # fmt: skip
+    xy: Array = leaf(
+        0.0, unit="1", low=-3.0, high=3.0, scale="linear", source="0: calibrated",
+        meaning="Elements xy and yx of W: how much of the levelled field's y is in x, and of its x in y.",
+    )  # fmt: skip
+    yy: Array = leaf(
+        1.0, unit="1", low=0.1, high=10.0, source="1: calibrated",
+        meaning="Element yy of W: how much of the levelled field's y is in the corrected y.",
+    )  # fmt: skip
 
 
 @parameters
 class Body:
     """Calibration of the magnetometer in body axes, K (m − b): the hard iron b, and the rows of K."""
 
-    hard_x: Array = leaf(0.0, unit="uT", low=-1e3, high=1e3, scale="linear", source="0: calibrated")
-    hard_y: Array = leaf(0.0, unit="uT", low=-1e3, high=1e3, scale="linear", source="0: calibrated")
-    hard_z: Array = leaf(0.0, unit="uT", low=-1e3, high=1e3, scale="linear", source="0: calibrated")
-    xx: Array = leaf(1.0, unit="1", low=-10.0, high=10.0, scale="linear", source="1: calibrated")
-    xy: Array = leaf(0.0, unit="1", low=-10.0, high=10.0, scale="linear", source="0: calibrated")
-    xz: Array = leaf(0.0, unit="1", low=-10.0, high=10.0, scale="linear", source="0: calibrated")
-    yx: Array = leaf(0.0, unit="1", low=-10.0, high=10.0, scale="linear", source="0: calibrated")
-    yy: Array = leaf(1.0, unit="1", low=-10.0, high=10.0, scale="linear", source="1: calibrated")
-    yz: Array = leaf(0.0, unit="1", low=-10.0, high=10.0, scale="linear", source="0: calibrated")
-    zx: Array = leaf(0.0, unit="1", low=-10.0, high=10.0, scale="linear", source="0: calibrated")
-    zy: Array = leaf(0.0, unit="1", low=-10.0, high=10.0, scale="linear", source="0: calibrated")
-    zz: Array = leaf(1.0, unit="1", low=-10.0, high=10.0, scale="linear", source="1: calibrated")
+    hard_x: Array = leaf(
+        0.0, unit="uT", low=-1e3, high=1e3, scale="linear", source="0: calibrated",
+        meaning="Hard iron along x, subtracted from the reading.",
+    )  # fmt: skip
+    hard_y: Array = leaf(
+        0.0, unit="uT", low=-1e3, high=1e3, scale="linear", source="0: calibrated",
+        meaning="Hard iron along y, subtracted from the reading.",
+    )  # fmt: skip
+    hard_z: Array = leaf(
+        0.0, unit="uT", low=-1e3, high=1e3, scale="linear", source="0: calibrated",
+        meaning="Hard iron along z, subtracted from the reading.",
+    )  # fmt: skip
+    xx: Array = leaf(
+        1.0, unit="1", low=-10.0, high=10.0, scale="linear", source="1: calibrated",
+        meaning="Element xx of the matrix K: how much of the reading's x is in the calibrated x.",
+    )  # fmt: skip
+    xy: Array = leaf(
+        0.0, unit="1", low=-10.0, high=10.0, scale="linear", source="0: calibrated",
+        meaning="Element xy of the matrix K: how much of the reading's y is in the calibrated x.",
+    )  # fmt: skip
+    xz: Array = leaf(
+        0.0, unit="1", low=-10.0, high=10.0, scale="linear", source="0: calibrated",
+        meaning="Element xz of the matrix K: how much of the reading's z is in the calibrated x.",
+    )  # fmt: skip
+    yx: Array = leaf(
+        0.0, unit="1", low=-10.0, high=10.0, scale="linear", source="0: calibrated",
+        meaning="Element yx of the matrix K: how much of the reading's x is in the calibrated y.",
+    )  # fmt: skip
+    yy: Array = leaf(
+        1.0, unit="1", low=-10.0, high=10.0, scale="linear", source="1: calibrated",
+        meaning="Element yy of the matrix K: how much of the reading's y is in the calibrated y.",
+    )  # fmt: skip
+    yz: Array = leaf(
+        0.0, unit="1", low=-10.0, high=10.0, scale="linear", source="0: calibrated",
+        meaning="Element yz of the matrix K: how much of the reading's z is in the calibrated y.",
+    )  # fmt: skip
+    zx: Array = leaf(
+        0.0, unit="1", low=-10.0, high=10.0, scale="linear", source="0: calibrated",
+        meaning="Element zx of the matrix K: how much of the reading's x is in the calibrated z.",
+    )  # fmt: skip
+    zy: Array = leaf(
+        0.0, unit="1", low=-10.0, high=10.0, scale="linear", source="0: calibrated",
+        meaning="Element zy of the matrix K: how much of the reading's y is in the calibrated z.",
+    )  # fmt: skip
+    zz: Array = leaf(
+        1.0, unit="1", low=-10.0, high=10.0, scale="linear", source="1: calibrated",
+        meaning="Element zz of the matrix K: how much of the reading's z is in the calibrated z.",
+    )  # fmt: skip
 
 
 def in_body(p: Body, mag: Array) -> Array:
@@ -84,10 +135,26 @@ def calibrated_by(params: Any, calibration: Calibration) -> dict[str, float]:
 class Looking:
     """When the field is looked at, and what levels it."""
 
-    per: str = setting("step", choices=("step", "sample"), source=_MA)
-    dwell_s: float = setting(0.12, source=f"{_KIT}: stillness in a stance before its look")
-    gap_s: float = setting(0.15, source=f"{_KIT}: movement that ends a stance")
-    levelling: str = setting("force", choices=("force", "attitude"), source=f"{_MA}: Eq. 3-5; attitude: kit")
+    per: str = setting(
+        "step", choices=("step", "sample"), source=_MA,
+        meaning="Whether the field is looked at once in each step, while the foot stands, or at every "
+        "still sample.",
+    )  # fmt: skip
+    dwell_s: float = setting(
+        0.12, source=f"{_KIT}: stillness in a stance before its look",
+        meaning="How long the foot must stand before its look; longer, more readings are averaged, but "
+        "short stances have none.",
+    )  # fmt: skip
+    gap_s: float = setting(
+        0.15, source=f"{_KIT}: movement that ends a stance",
+        meaning="How long the foot must move to end a stance; longer, a short gap in a stance does not "
+        "bring a second look.",
+    )  # fmt: skip
+    levelling: str = setting(
+        "force", choices=("force", "attitude"), source=f"{_MA}: Eq. 3-5; attitude: kit",
+        meaning="What levels the field for a heading: roll and pitch of the accelerometer, or the "
+        "filter's attitude.",
+    )  # fmt: skip
 
 
 class Looks(NamedTuple):
@@ -158,13 +225,25 @@ class HeadingNoise:
     direction. Ma prints no heading noise."""
 
     floor: Array = leaf(
-        2 * _DEGREE, unit="rad", low=1e-4, high=3.2, source=_KIT, tune=True, when={"update": "heading"}
-    )
-    field: Array = leaf(0.3, unit="uT", low=1e-4, high=100.0, source=_KIT, tune=True)
-    tilt: Array = leaf(0.5 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=_KIT, when={"update": "heading"})
+        2 * _DEGREE, unit="rad", low=1e-4, high=3.2, source=_KIT, tune=True, when={"update": "heading"},
+        meaning="Least standard deviation of a heading, however good its field; raised, headings turn "
+        "the track less.",
+    )  # fmt: skip
+    field: Array = leaf(
+        0.3, unit="uT", low=1e-4, high=100.0, source=_KIT, tune=True,
+        meaning="Noise of the field along each axis; raised, whatever the field measures counts for less.",
+    )  # fmt: skip
+    tilt: Array = leaf(
+        0.5 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=_KIT, when={"update": "heading"},
+        meaning="Error of tilt in a levelled field; raised, headings count for less, most where the "
+        "field is steep.",
+    )  # fmt: skip
     oddity: Array = leaf(
-        0.0, unit="1", low=0.0, high=100.0, scale="linear", source="0: published", when={"update": "heading"}
-    )
+        0.0, unit="1", low=0.0, high=100.0, scale="linear", source="0: published",
+        when={"update": "heading"},
+        meaning="Weight of odd strength and inclination in a heading's noise; raised, odd fields turn "
+        "the track less.",
+    )  # fmt: skip
 
 
 def heading_sigma(p: HeadingNoise, field: Array, reference: Array) -> Array:

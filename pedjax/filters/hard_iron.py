@@ -47,19 +47,61 @@ class TrackerParameters(SoftGate):
     field and offset both wander by `jump`.
     """
 
-    noise: Array = leaf(0.085, unit="uT/sqrt(Hz)", low=1e-4, high=10.0, source=_REST)
-    still: Array = leaf(0.1, unit="uT/sqrt(s)", low=1e-4, high=100.0, source=_KIT, tune=True)
-    turning: Array = leaf(0.3, unit="uT sqrt(s)/rad", low=1e-4, high=10.0, source=_MOVED, tune=True)
-    offset: Array = leaf(0.02, unit="uT/sqrt(s)", low=1e-5, high=10.0, source=_KIT, tune=True)
-    bias: Array = leaf(1e-5, unit="rad/s^2/sqrt(Hz)", low=1e-9, high=0.1, source=_KIT)
-    window: Array = leaf(0.1, unit="s", low=0.01, high=10.0, source=_KIT)
+    noise: Array = leaf(
+        0.085, unit="uT/sqrt(Hz)", low=1e-4, high=10.0, source=_REST,
+        meaning="White noise of the magnetometer's readings; raised, each reading changes field and "
+        "offset less.",
+    )  # fmt: skip
+    still: Array = leaf(
+        0.1, unit="uT/sqrt(s)", low=1e-4, high=100.0, source=_KIT, tune=True,
+        meaning="How fast the field wanders, at rest too; raised, changes are put down to the field and "
+        "the offset is learnt slower.",
+    )  # fmt: skip
+    turning: Array = leaf(
+        0.3, unit="uT sqrt(s)/rad", low=1e-4, high=10.0, source=_MOVED, tune=True,
+        meaning="How fast the field wanders for each rad/s of turning; raised, turns tell less of the "
+        "offset.",
+    )  # fmt: skip
+    offset: Array = leaf(
+        0.02, unit="uT/sqrt(s)", low=1e-5, high=10.0, source=_KIT, tune=True,
+        meaning="How fast the hard iron may wander; raised, its estimate follows changes sooner and is "
+        "noisier.",
+    )  # fmt: skip
+    bias: Array = leaf(
+        1e-5, unit="rad/s^2/sqrt(Hz)", low=1e-9, high=0.1, source=_KIT,
+        meaning="How fast the tracker's gyroscope bias may wander; raised, its estimate follows sooner "
+        "and is noisier.",
+    )  # fmt: skip
+    window: Array = leaf(
+        0.1, unit="s", low=0.01, high=10.0, source=_KIT,
+        meaning="Time over which innovations are averaged to find a jump; raised, smaller jumps are "
+        "found, but later.",
+    )  # fmt: skip
     threshold: Array = leaf(
-        30.0, unit="1", low=1.0, high=1e4, source="kit choice: 1e-6 by chance", tune=True, point=True
-    )
-    jump: Array = leaf(50.0, unit="uT/sqrt(s)", low=1e-3, high=1e4, source="kit choice: a field", tune=True)
-    initial_field: Array = leaf(50.0, unit="uT", low=0.1, high=1e3, source="kit choice: a field")
-    initial_offset: Array = leaf(0.7, unit="uT", low=0.01, high=1e3, source="kit choice: calibrated before")
-    initial_bias: Array = leaf(0.005, unit="rad/s", low=1e-7, high=1.0, source="kit choice: 0.3 deg/s")
+        30.0, unit="1", low=1.0, high=1e4, source="kit choice: 1e-6 by chance", tune=True, point=True,
+        meaning="Squared size of the averaged innovations above which a jump is assumed; raised, fewer "
+        "jumps are found.",
+    )  # fmt: skip
+    jump: Array = leaf(
+        50.0, unit="uT/sqrt(s)", low=1e-3, high=1e4, source="kit choice: a field", tune=True,
+        meaning="How fast field and offset wander while a jump is assumed; raised, the old values are "
+        "given up sooner.",
+    )  # fmt: skip
+    initial_field: Array = leaf(
+        50.0, unit="uT", low=0.1, high=1e3, source="kit choice: a field",
+        meaning="Standard deviation of the first field, which is the first reading; raised, that reading "
+        "counts for less.",
+    )  # fmt: skip
+    initial_offset: Array = leaf(
+        0.7, unit="uT", low=0.01, high=1e3, source="kit choice: calibrated before",
+        meaning="Standard deviation of the hard iron at the start, zero; raised, the first turns change "
+        "it more.",
+    )  # fmt: skip
+    initial_bias: Array = leaf(
+        0.005, unit="rad/s", low=1e-7, high=1.0, source="kit choice: 0.3 deg/s",
+        meaning="Standard deviation of the tracker's first gyroscope bias, zero; raised, early readings "
+        "change it more.",
+    )  # fmt: skip
 
 
 @parameters
@@ -70,7 +112,10 @@ class HardIronParameters(TrackerParameters):
     board that turns quickly.
     """
 
-    lag: Array = leaf(0.0, unit="s", low=0.0, high=0.2, scale="linear", source="0: none")
+    lag: Array = leaf(
+        0.0, unit="s", low=0.0, high=0.2, scale="linear", source="0: none",
+        meaning="Time by which the magnetometer is behind the gyroscope; raised, older rates turn the field.",
+    )  # fmt: skip
 
 
 class HardIron(NamedTuple):

@@ -30,60 +30,109 @@ class Process:
     """Process noise as densities, and the correlation times of the biases."""
 
     accelerometer: Array = leaf(
-        0.5 * _PER_ROOT_HZ,
-        unit="m/s^2/sqrt(Hz)",
-        low=1e-5,
-        high=10.0,
-        source=f"{_OPENSHOE}: 0.5 a sample",
+        0.5 * _PER_ROOT_HZ, unit="m/s^2/sqrt(Hz)", low=1e-5, high=10.0, source=f"{_OPENSHOE}: 0.5 a sample",
         tune=True,
-    )
+        meaning="White noise of the accelerometer; raised, the predicted velocity is trusted less and "
+        "stances correct it more.",
+    )  # fmt: skip
     gyroscope: Array = leaf(
         0.5 * _DEGREE * _PER_ROOT_HZ, unit="rad/s/sqrt(Hz)", low=1e-7, high=0.1,
-        source=f"{_OPENSHOE}: 0.5 deg/s a sample", tune=True)  # fmt: skip
+        source=f"{_OPENSHOE}: 0.5 deg/s a sample", tune=True,
+        meaning="White noise of the gyroscope; raised, the predicted attitude is trusted less and "
+        "measurements turn it more.",
+    )  # fmt: skip
     accelerometer_bias: Array = leaf(
-        1e-7 / _PER_ROOT_HZ, unit="m/s^3/sqrt(Hz)", low=1e-9, high=1.0, source=f"{_OPENSHOE}: 1e-7 a sample"
-    )
+        1e-7 / _PER_ROOT_HZ, unit="m/s^3/sqrt(Hz)", low=1e-9, high=1.0, source=f"{_OPENSHOE}: 1e-7 a sample",
+        meaning="How fast the accelerometer's bias may wander; raised, its estimate follows sooner and "
+        "is noisier.",
+    )  # fmt: skip
     gyroscope_bias: Array = leaf(
         1e-7 / _PER_ROOT_HZ * _DEGREE, unit="rad/s^2/sqrt(Hz)", low=1e-10, high=0.1,
         source=f"{_OPENSHOE}: 1e-7 deg/s a sample",
+        meaning="How fast the gyroscope's bias may wander; raised, its estimate follows sooner and is "
+        "noisier.",
     )  # fmt: skip
-    accelerometer_bias_time: Array = leaf(1e6, unit="s", low=1.0, high=1e9, source="kit choice: random walk")
-    gyroscope_bias_time: Array = leaf(1e6, unit="s", low=1.0, high=1e9, source="kit choice: random walk")
+    accelerometer_bias_time: Array = leaf(
+        1e6, unit="s", low=1.0, high=1e9, source="kit choice: random walk",
+        meaning="Correlation time of the accelerometer's bias; raised, its estimate decays to zero more "
+        "slowly.",
+    )  # fmt: skip
+    gyroscope_bias_time: Array = leaf(
+        1e6, unit="s", low=1.0, high=1e9, source="kit choice: random walk",
+        meaning="Correlation time of the gyroscope's bias; raised, its estimate decays to zero more slowly.",
+    )  # fmt: skip
 
 
 @parameters
 class Initial:
     """Standard deviations of the first state, and how it is levelled."""
 
-    attitude: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=_OPENSHOE, tune=True)
-    heading_sigma: Array = leaf(0.1 * _DEGREE, unit="rad", low=1e-6, high=3.2, source=_OPENSHOE)
+    attitude: Array = leaf(
+        0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=_OPENSHOE, tune=True,
+        meaning="Standard deviation of the first roll and pitch; raised, the first stances correct the "
+        "tilt more.",
+    )  # fmt: skip
+    heading_sigma: Array = leaf(
+        0.1 * _DEGREE, unit="rad", low=1e-6, high=3.2, source=_OPENSHOE,
+        meaning="Standard deviation of the first yaw where the compass does not give it; raised, early "
+        "headings turn the track more.",
+    )  # fmt: skip
     gyroscope_bias: Array = leaf(
-        7e-4, unit="rad/s", low=1e-8, high=0.1, source=f"{_SHEET}, 0.04 deg/s", tune=True
-    )
+        7e-4, unit="rad/s", low=1e-8, high=0.1, source=f"{_SHEET}, 0.04 deg/s", tune=True,
+        meaning="Standard deviation of the gyroscope's first bias, zero; raised, early measurements "
+        "change it more.",
+    )  # fmt: skip
     accelerometer_bias: Array = leaf(
-        0.02, unit="m/s^2", low=1e-6, high=3.0, source=f"{_SHEET}, 2 mg", tune=True
-    )
-    position: Array = leaf(1e-5, unit="m", low=1e-9, high=10.0, source=_OPENSHOE)
-    velocity: Array = leaf(1e-5, unit="m/s", low=1e-9, high=10.0, source=_OPENSHOE)
-    heading: Array = leaf(0.0, unit="rad", low=-6.3, high=6.3, scale="linear", source="0: yaw is free")
-    levelling_s: float = setting(0.1, source="PyShoe: the first 20 samples at 200 Hz")
+        0.02, unit="m/s^2", low=1e-6, high=3.0, source=f"{_SHEET}, 2 mg", tune=True,
+        meaning="Standard deviation of the accelerometer's first bias, zero; raised, early stances "
+        "change it more.",
+    )  # fmt: skip
+    position: Array = leaf(
+        1e-5, unit="m", low=1e-9, high=10.0, source=_OPENSHOE,
+        meaning="Standard deviation of the first position; raised, its reported sigma grows; without "
+        "position aids nothing else does.",
+    )  # fmt: skip
+    velocity: Array = leaf(
+        1e-5, unit="m/s", low=1e-9, high=10.0, source=_OPENSHOE,
+        meaning="Standard deviation of the first velocity, zero; raised, the first stances correct "
+        "velocity and position more.",
+    )  # fmt: skip
+    heading: Array = leaf(
+        0.0, unit="rad", low=-6.3, high=6.3, scale="linear", source="0: yaw is free",
+        meaning="First yaw where the compass does not give it; raised, the track is turned "
+        "counter-clockwise by as much.",
+    )  # fmt: skip
+    levelling_s: float = setting(
+        0.1, source="PyShoe: the first 20 samples at 200 Hz",
+        meaning="Length of the still stretch at the start, whose mean force gives the first roll and pitch.",
+    )  # fmt: skip
 
 
 @parameters
 class Strapdown:
     """How rate and force are integrated."""
 
-    attitude_update: str = setting("exponential", choices=strapdown.ATTITUDE_UPDATES, source=_KIT)
+    attitude_update: str = setting(
+        "exponential", choices=strapdown.ATTITUDE_UPDATES, source=_KIT,
+        meaning="How a sample's rotation is put on the attitude: exactly, by a Padé approximation, or to "
+        "first order.",
+    )  # fmt: skip
     force_attitude: str = setting(
-        "mean", choices=strapdown.FORCE_ATTITUDES, source="mean: Fischer; new: PyShoe"
-    )
+        "mean", choices=strapdown.FORCE_ATTITUDES, source="mean: Fischer; new: PyShoe",
+        meaning="Which attitude turns the force: the mean of old and new, or the new, for a force half a "
+        "sample late.",
+    )  # fmt: skip
 
 
 @parameters
 class InertialParameters:
     """Parameters of the inertial filter."""
 
-    gravity: Array = leaf(9.8029, unit="m/s^2", low=9.7, high=9.9, scale="linear", source="PyShoe")
+    gravity: Array = leaf(
+        9.8029, unit="m/s^2", low=9.7, high=9.9, scale="linear", source="PyShoe",
+        meaning="Magnitude of gravity, taken off the specific force; raised, the predicted height sinks "
+        "between stances.",
+    )  # fmt: skip
     strapdown: Strapdown = group(Strapdown)
     process: Process = group(Process)
     initial: Initial = group(Initial)

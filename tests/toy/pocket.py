@@ -24,21 +24,48 @@ from pedjax.windows import trailing_mean
 class Test(SoftGate):
     """A gate with a threshold, and the noise of what it lets through."""
 
-    threshold: Array = leaf(1.0, unit="1", low=1e-3, high=1e3, source="toy", tune=True, point=True)
-    sigma: Array = leaf(1.0, unit="1", low=1e-3, high=1e3, source="toy", tune=True)
+    threshold: Array = leaf(
+        1.0, unit="1", low=1e-3, high=1e3, source="toy", tune=True, point=True,
+        meaning="Statistic below which the gate opens; raised, it opens more often.",
+    )  # fmt: skip
+    sigma: Array = leaf(
+        1.0, unit="1", low=1e-3, high=1e3, source="toy", tune=True,
+        meaning="Noise of what the gate lets through; raised, it corrects less.",
+    )  # fmt: skip
 
 
 @parameters
 class PocketParameters:
     gravity: Test = group(Test)
     field: Test = group(Test)
-    gyroscope: Array = leaf(1e-3, unit="rad/s/sqrt(Hz)", low=1e-6, high=1.0, source="toy", tune=True)
-    bias: Array = leaf(1e-5, unit="rad/s^2/sqrt(Hz)", low=1e-9, high=1.0, source="toy")
-    bias_time: Array = leaf(100.0, unit="s", low=1.0, high=1e6, source="toy")
-    start: Array = leaf(0.1, unit="rad", low=1e-3, high=3.0, source="toy")
-    step_length: Array = leaf(0.7, unit="m", low=0.1, high=2.0, source="toy", tune=True)
-    opening_s: float = setting(1.0, source="toy")
-    bounce: float = setting(1.0, source="toy: m/s^2 above gravity that make a step")
+    gyroscope: Array = leaf(
+        1e-3, unit="rad/s/sqrt(Hz)", low=1e-6, high=1.0, source="toy", tune=True,
+        meaning="White noise of the gyroscope; raised, force and field turn the attitude more.",
+    )  # fmt: skip
+    bias: Array = leaf(
+        1e-5, unit="rad/s^2/sqrt(Hz)", low=1e-9, high=1.0, source="toy",
+        meaning="How fast the gyroscope's bias may wander; raised, its estimate follows sooner.",
+    )  # fmt: skip
+    bias_time: Array = leaf(
+        100.0, unit="s", low=1.0, high=1e6, source="toy",
+        meaning="Correlation time of the bias; raised, its estimate is kept for longer.",
+    )  # fmt: skip
+    start: Array = leaf(
+        0.1, unit="rad", low=1e-3, high=3.0, source="toy",
+        meaning="Standard deviation of the first attitude; raised, early readings turn it more.",
+    )  # fmt: skip
+    step_length: Array = leaf(
+        0.7, unit="m", low=0.1, high=2.0, source="toy", tune=True,
+        meaning="Length of a step; raised, the track is longer.",
+    )  # fmt: skip
+    opening_s: float = setting(
+        1.0, source="toy",
+        meaning="Length of the stretch at the start that levels and gives the first yaw.",
+    )  # fmt: skip
+    bounce: float = setting(
+        1.0, source="toy: m/s^2 above gravity that make a step",
+        meaning="Force above gravity that makes a step; higher, fewer steps are counted.",
+    )  # fmt: skip
 
 
 class Site(NamedTuple):
