@@ -76,4 +76,6 @@ def test_refusals(files, tmp_path, capsys):
     assert "detector 'ma' is unknown" in said("demo:0", "--kind", "stance", "--detectors", "ma")
     assert "--detection 1.5 must lie between 0 and 1" in said("demo:0", "--detection", 1.5)
     assert "--same-field 0 must be a positive change" in said("demo:0", "--same-field", 0)
-    assert "use --system ma2018" in said("demo:0", "--kind", "field", "--system", "iez")
+    assert "does not look at the field; choose another --system" in said(
+        "demo:0", "--kind", "field", "--system", "iez"
+    )
