@@ -15,8 +15,7 @@ from pedjax.sweeping import Sweep, design, sweep
 from pedjax.system import Need, System
 from pedjax.systems import SYSTEMS, register_system, system
 from pedjax.tuning import Tuned, TuneSettings, split, tune
-
-__version__ = "0.1.0"
+from pedjax.version import __version__
 
 avoid_wrong_sums()
 

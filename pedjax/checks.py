@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pedjax.errors import InputError, suggest
-
-if TYPE_CHECKING:
-    from pedjax.recording import Recording, Sensor, Stream, Truth
+from pedjax.streams import Sensor, Stream, Truth, Unchecked
 
 _MIN_SAMPLES = 20
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -18,13 +15,13 @@ _UP = ("+x", "-x", "+y", "-y", "+z", "-z")
 _RATES = (20.0, 5000.0)  # Hz, between which a foot can be navigated by
 
 
-def check(recording: Recording) -> list[str]:
+def check(recording: Unchecked) -> list[str]:
     """Raise `InputError` for what cannot be used; return a line for each oddity."""
     with np.errstate(over="ignore", invalid="ignore"):  # absurd values are for the checks to name
         return _check(recording)
 
 
-def _check(recording: Recording) -> list[str]:
+def _check(recording: Unchecked) -> list[str]:
     findings: list[str] = []
     if not isinstance(recording.sensors, Mapping) or any(
         not hasattr(sensor, "gyroscope") for sensor in recording.sensors.values()
@@ -194,7 +191,7 @@ def _check_magnetometer(where: str, sensor: Sensor, findings: list[str]) -> None
         )
 
 
-def _check_landmarks(recording: Recording) -> None:
+def _check_landmarks(recording: Unchecked) -> None:
     marks = recording.landmarks
     if marks is None:
         return
@@ -228,7 +225,7 @@ def _check_landmarks(recording: Recording) -> None:
         )
 
 
-def _check_truths(recording: Recording) -> None:
+def _check_truths(recording: Unchecked) -> None:
     if recording.truth is not None:
         _check_truth(recording, recording.truth, "truth")
     for name, truth in recording.truths.items():
@@ -245,7 +242,7 @@ def _check_truths(recording: Recording) -> None:
         _check_truth(recording, truth, f"truth of sensor '{name}'")
 
 
-def _check_truth(recording: Recording, truth: Truth, what: str) -> None:
+def _check_truth(recording: Unchecked, truth: Truth, what: str) -> None:
     if truth.position.shape != (len(truth.time), 3):
         raise InputError(
             f"{recording.name}: {what} has time {truth.time.shape} and position {truth.position.shape}; "

@@ -21,7 +21,7 @@ from pedjax.running import run as run_system
 from pedjax.shapes import bucket
 from pedjax.simulation.footsteps import GAITS
 from pedjax.simulation.labels import largest_changes, stance_edges, stance_middles
-from pedjax.simulation.world import SensorTruth
+from pedjax.simulation.truth import SensorTruth
 
 STRAIGHT, CURVED = np.radians(10.0), np.radians(30.0)
 """Turn of the foot within a window below which its path counts as straight, above which as curved (kit)."""

@@ -9,126 +9,42 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from pedjax.checks import check
 from pedjax.errors import InputError, suggest
+from pedjax.streams import (
+    STANDARD_GRAVITY,
+    Clock,
+    Landmarks,
+    Sensor,
+    Stream,
+    Truth,
+    Unchecked,
+    sampling_rate,
+)
 
-STANDARD_GRAVITY = 9.80665
-"""m/s^2, the conversion of g."""
-
-Clock = Literal["stamps", "uniform", "resample"]
-
-
-def _as_floats(holder: object, *names: str) -> None:
-    """Lists and integers become float arrays; what is no number is an `InputError`."""
-    for name in names:
-        try:
-            array = np.asarray(getattr(holder, name), float)
-        except (TypeError, ValueError):
-            raise InputError(f"{type(holder).__name__}.{name} holds something that is not a number") from None
-        object.__setattr__(holder, name, array)
-
-
-def sampling_rate(steps: np.ndarray) -> float:
-    """Mean rate over all steps that are no gaps: a median would mistake jittering stamps."""
-    usual = steps[steps < 10 * np.median(steps[steps > 0])]
-    return float(len(usual) / usual.sum())
-
-
-def nominal_rate(imu: Inertial) -> float:
-    """The sampling rate rounded to whole Hz: what sets the length of windows."""
-    return max(float(round(imu.rate)), 1.0)
+__all__ = [
+    "STANDARD_GRAVITY", "Clock", "Inertial", "Landmarks", "Recording", "Sensor", "Stream", "Truth",
+    "inertial", "nearest", "nominal_rate", "sampling_rate",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Stream:
-    """Samples of one instrument on its own clock: `time (T,)` in s, `values (T, D)`."""
-
-    time: np.ndarray
-    values: np.ndarray
-
-    def __post_init__(self) -> None:
-        _as_floats(self, "time", "values")
-
-    @property
-    def rate(self) -> float:
-        """Sampling rate in Hz, gaps left out."""
-        return sampling_rate(np.diff(self.time))
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """One inertial unit at one place on the body.
-
-    `accelerometer` is specific force in m/s^2, `gyroscope` rad/s, `magnetometer` microtesla, all in the
-    same body axes. `up` names the body axis that points up in the usual stance ("+z", "-z", ...) where
-    the reader knows it: only then can a flipped accelerometer be told from a flipped mounting.
-    """
-
-    accelerometer: Stream
-    gyroscope: Stream
-    magnetometer: Stream | None = None
-    up: str | None = None
-
-
-@dataclass(frozen=True)
-class Landmarks:
-    """Surveyed points: `time (K,)` s on the recording's clock, `position (K, 3)` m in a right-handed
-    frame with z up; an unknown coordinate is NaN (a stair landmark knows only its height).
-    `sensor` names the one at whose place they were surveyed (None: not said). Kept in time order."""
-
-    time: np.ndarray
-    position: np.ndarray
-    sensor: str | None = None
-
-    def __post_init__(self) -> None:
-        _as_floats(self, "time", "position")
-        if self.time.ndim == 1 and len(self.position) == len(self.time):
-            order = np.argsort(self.time, kind="stable")
-            object.__setattr__(self, "time", self.time[order])
-            object.__setattr__(self, "position", self.position[order])
-
-
-@dataclass(frozen=True)
-class Truth:
-    """Dense reference: `time (T,)` s, `position (T, 3)` m right-handed z up (NaN where lost), and
-    optionally `quaternion (T, 4)`, scalar first, body to navigation. `sensor` names the one at whose place
-    it was measured (None: not said)."""
-
-    time: np.ndarray
-    position: np.ndarray
-    quaternion: np.ndarray | None = None
-    sensor: str | None = None
-
-    def __post_init__(self) -> None:
-        _as_floats(self, "time", "position", *(["quaternion"] if self.quaternion is not None else []))
-
-
-@dataclass(frozen=True)
-class Recording:
+class Recording(Unchecked):
     """One walk. Making it checks it; what is wrong is an `InputError`, what is odd a line in `findings`.
 
     `truths` holds, by sensor, the truth of those beside the one that `truth` belongs to, in the same frame.
     """
 
-    name: str
-    sensors: Mapping[str, Sensor]
-    landmarks: Landmarks | None = None
-    truth: Truth | None = None
-    clock: Clock = "stamps"
-    format: str = "arrays"
-    notes: tuple[str, ...] = ()
-    truths: Mapping[str, Truth] = field(default_factory=dict)
     findings: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
-        from pedjax import checks
-
         named = {n: replace(t, sensor=n) if t.sensor is None else t for n, t in self.truths.items()}
         object.__setattr__(self, "truths", named)
-        object.__setattr__(self, "findings", (*self.notes, *checks.check(self)))
+        object.__setattr__(self, "findings", (*self.notes, *check(self)))
 
     @property
     def duration(self) -> float:
@@ -167,6 +83,11 @@ class Recording:
             return self.sensors[name]
         known = suggest(name, self.sensors)
         raise InputError(f"{self.name}: there is no sensor '{name}'{known} (choose with sensor, --sensor)")
+
+
+def nominal_rate(imu: Inertial) -> float:
+    """The sampling rate rounded to whole Hz: what sets the length of windows."""
+    return max(float(round(imu.rate)), 1.0)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from pedjax.readers import read
 from pedjax.recording import Recording
 from pedjax.simulation.motion import Motion
 from pedjax.simulation.scenarios import scenarios
-from pedjax.simulation.world import SensorTruth, Simulated, simulate
+from pedjax.simulation.truth import SensorTruth
+from pedjax.simulation.world import Simulated, simulate
 
 
 def is_made(name: str) -> bool:

@@ -25,6 +25,7 @@ from pedjax.sweeping import store as keep
 from pedjax.sweeping.campaign import Rounds, manifest_of, recordings_of, run_campaign
 from pedjax.sweeping.designs import Axis
 from pedjax.sweeping.engine import Job, job
+from pedjax.sweeping.parquet import arrow
 from pedjax.sweeping.report import Report, analyse
 from pedjax.sweeping.sensitivity import Sensitivity, sensitivity
 from pedjax.sweeping.store import Store
@@ -38,7 +39,7 @@ def sweep(args: argparse.Namespace) -> int:
     """Scores of a design of parameter sets, kept as they come, and the report."""
     config = configured(args)
     settings, design = sweep_design(config)
-    keep.arrow()
+    arrow()
     recordings = read_all(config.recordings, args.format)
     work = _job(config, recordings, settings.loss)
     rounds = Rounds(settings.refine, settings.shrink, settings.count, settings.design, config.seed)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-if TYPE_CHECKING:
-    from pedjax.simulation.world import SensorTruth
+from pedjax.simulation.truth import SensorTruth
 
 
 def stance_middles(stance: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,24 +20,10 @@ from pedjax.simulation.labels import stance_middles
 from pedjax.simulation.motion import Motion, motion, standing
 from pedjax.simulation.presets import calibrated, preset
 from pedjax.simulation.scenarios import Scenario, load_scenario
+from pedjax.simulation.truth import SensorTruth
 
 _PASSING = 2.0
 """m within which a walker passes a landmark."""
-
-
-class SensorTruth(NamedTuple):
-    """What is true of one sensor at each of its samples, before any of its errors: `time (T,)` s, the
-    `motion`, its errors `gyroscope_bias` and `accelerometer_bias (T, 3)`, the `magnetic_field (T, 3)` in
-    microtesla in navigation axes, the `disturbance (T, 3)` that is not the background's, and whether the foot
-    stands, `stance (T,)`."""
-
-    time: np.ndarray
-    motion: Motion
-    gyroscope_bias: np.ndarray
-    accelerometer_bias: np.ndarray
-    magnetic_field: np.ndarray
-    disturbance: np.ndarray
-    stance: np.ndarray
 
 
 @dataclass(frozen=True)

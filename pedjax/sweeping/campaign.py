@@ -20,6 +20,7 @@ from pedjax.sweeping.designs import Design, lay_out
 from pedjax.sweeping.engine import Engine, Job, check_design, parts_of, slice_of
 from pedjax.sweeping.store import Store
 from pedjax.sweeping.team import Team, disband, shared_out, wait_for
+from pedjax.version import __version__
 from pedjax.walks import Walk
 
 Progress = Callable[[int, int], None]
@@ -42,8 +43,6 @@ def manifest_of(
     job: Job, recordings: Sequence[Recording], design: Design, rounds: Rounds, about: dict[str, Any]
 ) -> dict[str, Any]:
     """All that decides the numbers of a sweep, and what is needed to read them."""
-    from pedjax import __version__
-
     digest = hashlib.sha256()
     for path, values in design.values.items():
         digest.update(path.encode() + np.ascontiguousarray(values).tobytes())

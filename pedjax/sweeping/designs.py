@@ -15,6 +15,7 @@ import numpy as np
 from pedjax import parameters
 from pedjax.errors import InputError, suggest
 from pedjax.evaluation.scores import is_score
+from pedjax.sweeping.parquet import read_table
 
 DESIGNS = ("sobol", "latin", "grid", "random")
 
@@ -222,8 +223,6 @@ def listed_sets(path: Path, params: Any) -> dict[str, np.ndarray]:
     tables add (`run`, scores in m) are passed over."""
     try:
         if path.suffix == ".parquet":
-            from pedjax.sweeping.store import read_table
-
             table = read_table(path)
             columns = {name: table[name].to_pylist() for name in table.column_names}
         else:

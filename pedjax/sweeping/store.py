@@ -23,6 +23,7 @@ import numpy as np
 from pedjax.errors import InputError
 from pedjax.output import atomic, folder, plain, write_json
 from pedjax.sweeping.designs import Axis, Design
+from pedjax.sweeping.parquet import arrow, read_table
 
 FORMAT = 1
 
@@ -42,27 +43,6 @@ class Store(NamedTuple):
     def identity(self) -> str:
         """Names what is swept: equal for equal sweeps."""
         return str(self.manifest["identity"])
-
-
-def arrow() -> Any:
-    """pyarrow with its Parquet part; an `InputError` that says how to get it where it is missing."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise InputError(
-            "sweeps are kept as Parquet: install pyarrow with pip install 'pedjax[sweep]'"
-        ) from None
-    return pyarrow
-
-
-def read_table(path: Path) -> Any:
-    """An arrow table from a Parquet file; an `OSError` where it is none."""
-    pa = arrow()
-    try:
-        return pa.parquet.read_table(path)
-    except pa.ArrowInvalid as error:
-        raise OSError(str(error)) from None
 
 
 def identity_of(manifest: Mapping[str, Any]) -> str:
