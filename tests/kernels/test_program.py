@@ -9,7 +9,7 @@ from pedjax import parameters
 from pedjax.kernels.graph import OPERATIONS, Graph, Known, cut, evaluate, with_numpy
 from pedjax.kernels.program import beginning, program, supports
 from pedjax.kernels.unroll import KNOWN, primitives
-from pedjax.systems import SYSTEMS, system
+from pedjax.systems import system
 from tests.kernels import tools, toy
 
 CHOICES = {
