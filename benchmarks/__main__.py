@@ -2,9 +2,8 @@
 
     python -m benchmarks [SECTION ...] [--quick] [--out DIR] [--limit C_FILE] [--vicon FOLDER]
 
-Sections: walk, lanes, detectors, gradient, sweep (default: all of these), and gpu where there is one. Rates of
-what runs on one core are in processor time, best of three after compilation; those of sweeps and of a GPU in
-wall time.
+Sections: walk, lanes, detectors, gradient, sweep (default: all of these), and gpu where there is one. What
+runs on one core is in processor time, best of three after compilation; sweeps and a GPU in wall time.
 """
 
 from __future__ import annotations
