@@ -1,9 +1,10 @@
 """Differentiable pedestrian dead reckoning in JAX."""
 
 from pedjax.aids import aided, register_aid
+from pedjax.detection import roc
 from pedjax.detectors import register_field_detector, register_stance_detector
 from pedjax.errors import InputError
-from pedjax.evaluation import landmark_errors, roc
+from pedjax.evaluation import landmark_errors
 from pedjax.evaluation.scores import ScoreKind, register_loss
 from pedjax.recording import Inertial, Landmarks, Recording, Sensor, Stream, Truth, inertial
 from pedjax.running import Track, run

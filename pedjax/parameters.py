@@ -26,12 +26,16 @@ from pedjax.errors import InputError, suggest
 
 P = TypeVar("P")
 
+Moves = Literal["threshold", "root", "search"]
+"""How an operating point goes with the threshold of its detector's statistic, see `Spec`."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Spec:
     """What is known of a leaf: `unit`, bounds `low` to `high`, `scale` it is searched on, `source`, and its
     `meaning` in a sentence. `tune`: worth varying by default; `point`: what a detector's statistic is held
-    against, which moves along its ROC."""
+    against, which `moves` along its ROC: as the `threshold` does, several in proportion; as its square
+    `root`; or so far that as many windows pass (`search`; more must pass the larger it is)."""
 
     unit: str
     low: float
@@ -41,6 +45,7 @@ class Spec:
     meaning: str = ""
     tune: bool = False
     point: bool = False
+    moves: Moves = "threshold"
 
     def to_free(self, value: ArrayLike) -> Array:
         """The unconstrained number of a value; a step of 1 is about one e-fold, or a tenth of the range."""
@@ -95,12 +100,13 @@ def leaf(
     meaning: str = "",
     tune: bool = False,
     point: bool = False,
+    moves: Moves = "threshold",
     when: When | None = None,
 ) -> Any:
     """A number that can be tuned. `meaning` says in a sentence what it is and what raising it does."""
     if not low <= value <= high or (scale == "log" and low <= 0):
         raise ValueError(f"default {value} or bounds {low} to {high} do not fit a {scale} scale")
-    spec = Spec(unit, low, high, scale, source, meaning, tune, point)
+    spec = Spec(unit, low, high, scale, source, meaning, tune, point, moves)
     return dataclasses.field(default=value, metadata={"spec": spec, "when": when or {}})
 
 

@@ -78,7 +78,18 @@ def test_tune_and_sweep_by_the_loss(plugin, walk):
 
 def test_roc_judges_the_detector(plugin, tmp_path, capsys):
     out = tmp_path / "out"
-    options = ["--with", plugin, "--detectors", "jerk", "shoe", "--out", str(out), "--no-figures"]
+    options = [
+        "--with",
+        plugin,
+        "--kind",
+        "stance",
+        "--detectors",
+        "jerk",
+        "shoe",
+        "--out",
+        str(out),
+        "--no-figures",
+    ]
     assert main(["roc", "demo:1", *options]) == 0, capsys.readouterr().err
     assert (out / "roc_jerk.toml").exists()
 

@@ -22,18 +22,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.ma2018.table import Row, row
-from pedjax import field_roc, parameters
+from pedjax import parameters
 from pedjax.config import Config, override, resolve
+from pedjax.detection import Banded, Labelled, Wanted, compare, difference, roc
+from pedjax.detection import field as judging
+from pedjax.detection.bands import draw
+from pedjax.detection.field import FieldWalk
 from pedjax.detectors.field import FIELD_DETECTORS
-from pedjax.evaluation import Banded, Labelled, compare, difference, roc
-from pedjax.evaluation.resampling import draw
-from pedjax.evaluation.roc import Wanted
-from pedjax.field_roc import FieldWalk
 from pedjax.output import folder, write_figure, write_table
 from pedjax.plots import roc_curves
 from pedjax.runtime import configure, default_cache
 from pedjax.sources import read_labelled
 
+SYSTEM = "ma2018"
 SCENARIOS = ("office-loop", "mall-gentle", "mall")
 DEFINITIONS = ((1.0, 2.0), (3.0, 5.0), (6.0, 10.0))
 """Largest change from stance to stance that is still quasi-static, µT and degrees."""
@@ -53,7 +54,7 @@ PARTS = ("all", "straight", "curved")
 def walks_of(scenario: str, seeds: range, params: Any) -> list[FieldWalk]:
     found = []
     for seed in seeds:
-        found.append(field_roc.field_walk(*read_labelled(f"{scenario}:{seed}"), params))
+        found.append(judging.field_walk(*read_labelled(f"{scenario}:{seed}"), SYSTEM, params))
         print(f"  {found[-1].name}: {len(found[-1].turn)} windows", flush=True)
     return found
 
@@ -85,13 +86,13 @@ def area_rows(
 
 def chosen_thresholds(params: Any, walks: list[FieldWalk], definition: tuple[float, float]) -> dict[str, Any]:
     """Parameters of each detector that find 0.8 of the quasi-static windows on straight paths."""
-    straight = [w.only(w.turn < field_roc.STRAIGHT) for w in walks]
+    straight = [w.only(w.turn < judging.STRAIGHT) for w in walks]
     label = np.concatenate([w.label(*definition) for w in straight])
-    given = field_roc.labelled(params, list(FIELD_DETECTORS), straight, *definition)
+    given = judging.labelled(params, list(FIELD_DETECTORS), straight, *definition)
     chosen = {}
     for name, statistic in given.statistic.items():
         curve = roc(np.concatenate(statistic), label)
-        point = field_roc.at_point(params, name, curve, Wanted(0.8, "detection"), straight, label)
+        point = judging.at_point(params, name, curve, Wanted(0.8, "detection"), straight, label)
         chosen[name] = parameters.replace(params, point.parameters)
         values = {k: v for k, v in point.parameters.items() if not isinstance(v, str)}
         print(
@@ -110,7 +111,7 @@ def turn_rows(
     draws = draw(len(walks))
     rows = []
     for name, params in chosen.items():
-        passed = [field_roc.log_ratios(params.field, w.windows) < 0 for w in walks]
+        passed = [judging.log_ratios(params.field, w.windows) < 0 for w in walks]
         for k, (low, high) in enumerate(itertools.pairwise(TURNS)):
             row: dict[str, Any] = {"scenario": scenario, "detector": name, "turn_from": low, "turn_to": high}
             of = {
@@ -218,7 +219,7 @@ def _gain(rates: dict[str, float]) -> float:
 
 def run(seeds: range, out: Path, sets: Sequence[str] = LEVELLING) -> list[Row]:
     """Curves, areas, and detection by turn, all written to `out`; the rows of the table."""
-    _, params = resolve(override(Config(system="ma2018"), list(sets)))
+    _, params = resolve(override(Config(system=SYSTEM), list(sets)))
     print("walks that thresholds are chosen on")
     others = walks_of("office-loop", CHOSEN_ON, params)
     chosen = chosen_thresholds(params, others, DEFINITIONS[1])
@@ -229,7 +230,7 @@ def run(seeds: range, out: Path, sets: Sequence[str] = LEVELLING) -> list[Row]:
         walks = walks_of(scenario, seeds, params)
         for definition in DEFINITIONS:
             print(f"{scenario}, quasi-static below {definition[0]:g} µT and {definition[1]:g} degrees")
-            given = field_roc.labelled(params, list(FIELD_DETECTORS), walks, *definition)
+            given = judging.labelled(params, list(FIELD_DETECTORS), walks, *definition)
             if not np.concatenate(given.label).any():
                 print("  no window is quasi-static")
                 continue

@@ -119,6 +119,19 @@ class Compass:
     noise: HeadingNoise = group(HeadingNoise)
     tracker: Tracker = group(Tracker, when={"hard_iron": "tracked"})
 
+    def north(self) -> Array:
+        """The azimuth of the undisturbed horizontal field, rad counter-clockwise from east."""
+        return _QUARTER_TURN - self.declination
+
+    def looks(self) -> Looking:
+        """When it looks, and what levels: the attitude where the field tells of the tilt, too."""
+        tilted = self.update in ("anchored", "differential")
+        return replace(self.looking, levelling="attitude") if tilted else self.looking
+
+    def only_looking(self) -> Compass:
+        """The same looks, of which nothing is made: no detector has a say in what it is given."""
+        return replace(self, update="none", gyroscope_rows=False, looking=self.looks())
+
 
 class State(NamedTuple):
     """The looks at the field; whether it was `quasi`-static at the last one; the `anchor (3, *L)` that it is
@@ -131,17 +144,6 @@ class State(NamedTuple):
     reference: Array
     before: Array
     tracker: hard_iron.State | tuple[()]
-
-
-def north_of(p: Compass) -> Array:
-    """The azimuth of the undisturbed horizontal field, counter-clockwise from east."""
-    return _QUARTER_TURN - p.declination
-
-
-def looking_of(p: Compass) -> Looking:
-    """When it looks, and what levels: the attitude where the field tells of the tilt, too."""
-    tilted = p.update in ("anchored", "differential")
-    return replace(p.looking, levelling="attitude") if tilted else p.looking
 
 
 def _prepare(p: Any, signals: Signals, dt: Array, rate_hz: float, length: ArrayLike | None) -> Any:
@@ -161,7 +163,7 @@ def _start(p: Any, site: Any, opening: Opening, nav: Any, P: Covariance) -> tupl
     mag = compass.in_body(p.compass.body, align(mean_field, 1, like.ndim) + 0 * like)
     seen = compass.levelled(nav, force, mag, p.compass.level, "force")
     if p.compass.start == "field":
-        yaw = rotations.wrap(north_of(p.compass) - detectors.azimuth(seen))
+        yaw = rotations.wrap(p.compass.north() - detectors.azimuth(seen))
         turn = rotations.from_euler(0 * yaw, 0 * yaw, yaw)
         nav = nav._replace(attitude=matmul(turn, nav.attitude))
         sigma = p.compass.start_sigma
@@ -182,7 +184,7 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
     dt, force, rate, field = from_.sample
     assert field is not None
     mag = compass.in_body(p.compass.body, field)
-    q, north = p.compass, north_of(p.compass)
+    q, north = p.compass, p.compass.north()
     tracker = state.tracker
     if isinstance(tracker, hard_iron.State):
         late = rate if isinstance(from_.own, tuple) else align(from_.own, 1, lanes)
@@ -190,7 +192,7 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
         mag = mag - tracker.offset
 
     specific = force - nav.accelerometer_bias
-    looks, now = compass.look(looking_of(q), q.level, state.looks, nav, specific, mag, dt, stance)
+    looks, now = compass.look(q.looks(), q.level, state.looks, nav, specific, mag, dt, stance)
     seen = looks.window[-1]
     ratio = detectors.log_ratio(p.field, looks.window, north)
     whole = jnp.where(looks.many > p.field.window, 1.0, 0.0)
@@ -254,7 +256,7 @@ _TURNED_BY = ("magnetic_heading", "field_rate")  # whose corrections turn the lo
 def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any) -> State:
     if by not in _TURNED_BY:
         return state
-    how = looking_of(p.compass).levelling
+    how = p.compass.looks().levelling
     return state._replace(looks=compass.turned(state.looks, correction["t"], nav.attitude, how))
 
 

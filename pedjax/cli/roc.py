@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping
 from itertools import combinations
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import Any
 
 from pedjax import __version__, parameters
 from pedjax.cli.common import configured, loaded, say, write_metrics, write_parameters
 from pedjax.config import Config, resolve
+from pedjax.detection import (
+    Banded,
+    Interval,
+    Judged,
+    Labelled,
+    Reached,
+    Wanted,
+    difference,
+    judge_field,
+    judge_stance,
+    looks_at_field,
+)
 from pedjax.detectors.field import FIELD_DETECTORS
 from pedjax.detectors.stance import DETECTORS
 from pedjax.errors import InputError, suggest
-from pedjax.evaluation.resampling import Banded, Interval, Labelled, compare, difference
-from pedjax.evaluation.roc import Reached, Roc, Wanted
 from pedjax.identity import fingerprint
 from pedjax.output import folder, write_figure, write_table
-from pedjax.recording import Recording, inertial
 from pedjax.sources import read_all, read_labelled
 from pedjax.systems import SYSTEMS
 from pedjax.walks import sensor_names
 
-KINDS: dict[str, tuple[str, ...]] = {"stance": tuple(DETECTORS), "field": tuple(FIELD_DETECTORS)}
+KINDS: dict[str, Mapping[str, Any]] = {"stance": DETECTORS, "field": FIELD_DETECTORS}
 DRAWN = ("all", "straight", "curved")
 """The parts whose curves are drawn and written."""
 
@@ -58,28 +65,17 @@ def add_parser(commands: Any, both: list[argparse.ArgumentParser]) -> None:
     )  # fmt: skip
 
 
-class _Judged(NamedTuple):
-    """What detectors say and what is true: `entries` tell of the recordings, `options` how they were
-    labelled; `at_point` gives what a detector changes of `params` at a point of its curve."""
-
-    params: Any
-    recordings: Sequence[Recording]
-    given: Labelled
-    entries: list[dict[str, Any]]
-    options: dict[str, float]
-    at_point: Callable[[str, Roc, Wanted], Reached]
-
-
 def roc(args: argparse.Namespace) -> int:
     """Curves with bands, areas with intervals, and each detector at the wanted point as a config."""
+    _, params = resolve(loaded(args))  # with the plugins, which may bring detectors and systems
     kind, names = _kind(args)
-    if kind == "field" and args.system is None and not resolve(loaded(args))[0].magnetic:
-        args.system = next(each.name for each in SYSTEMS.values() if "field" in each.gates)
+    if kind == "field" and args.system is None and not looks_at_field(params):
+        args.system = _looking()[0]
     config = configured(args)
     wanted = _wanted(args)
     out = folder(config.out)
     judged = (_stance if kind == "stance" else _field)(args, config, names)
-    curves = compare(judged.given, seed=config.seed, upto=args.partial)
+    curves = judged.curves(seed=config.seed, upto=args.partial)
     points = {}
     for name, found in curves["all"].items():
         reached = judged.at_point(name, found.roc, wanted)
@@ -97,7 +93,9 @@ def roc(args: argparse.Namespace) -> int:
     if len(judged.recordings) < 2:
         say("one recording: no intervals [?], for they come from drawing whole recordings anew")
     write_table(out / "roc.csv", _area_table(curves, judged.given))
-    write_metrics(out, config, judged.entries, kind=kind, roc=points, differences=pairs, **judged.options)
+    told = zip(config.recordings, judged.entries, strict=True)
+    entries = [{"path": str(path), **entry} for path, entry in told]
+    write_metrics(out, config, entries, kind=kind, roc=points, differences=pairs, **judged.definition)
     if config.figures:
         from pedjax import plots
 
@@ -137,67 +135,39 @@ def _wanted(args: argparse.Namespace) -> Wanted:
     return Wanted(args.false_alarm) if args.detection is None else Wanted(args.detection, "detection")
 
 
-def _stance(args: argparse.Namespace, config: Config, names: list[str]) -> _Judged:
-    from pedjax import stance_roc
-
-    chosen, params = resolve(config)
-    sensor = next(iter(sensor_names(chosen.needs, config.sensor).values()))
-    recordings = read_all(config.recordings, args.format)
-    samples = [inertial(r, sensor, config.clock) for r in recordings]
-    labels = [
-        stance_roc.still_labels(r, i, args.still_below, sensor=sensor)
-        for r, i in zip(recordings, samples, strict=True)
-    ]
-    entries = [
-        {
-            "path": str(path),
-            "duration_s": r.duration,
-            "labelled_fraction": float(x.known.mean()),
-            "still_fraction": float(x.still[x.known].mean()),
-        }
-        for path, r, x in zip(config.recordings, recordings, labels, strict=True)
-    ]
-    return _Judged(
-        params,
-        recordings,
-        stance_roc.labelled(params, names, samples, labels),
-        entries,
-        {"still_below_m_per_s": args.still_below},
-        lambda name, curve, wanted: stance_roc.at_point(params, name, curve, wanted),
-    )
-
-
-def _field(args: argparse.Namespace, config: Config, names: list[str]) -> _Judged:
-    from pedjax import field_roc
-
+def _stance(args: argparse.Namespace, config: Config, names: list[str]) -> Judged:
     system, params = resolve(config)
-    if not system.magnetic:
-        raise InputError(f"the system '{system.name}' does not look at the field; choose another --system")
     sensor = next(iter(sensor_names(system.needs, config.sensor).values()))
-    recordings, walks = [], []
-    for path in config.recordings:  # the whole truth of one walk at a time: it is large
-        recording, truth = read_labelled(path, args.format, sensor)
-        recordings.append(recording)
-        walks.append(field_roc.field_walk(recording, truth, params, sensor=sensor, clock=config.clock))
-    given = field_roc.labelled(params, names, walks, args.same_field, args.same_heading)
-    label = np.concatenate(given.label)
-    entries = [
-        {
-            "path": str(path),
-            "duration_s": r.duration,
-            "windows": len(y),
-            "quasi_static_fraction": float(y.mean()),
-        }
-        for path, r, y in zip(config.recordings, recordings, given.label, strict=True)
-    ]
-    return _Judged(
-        params,
-        recordings,
-        given,
-        entries,
-        {"same_field_uT": args.same_field, "same_heading_deg": args.same_heading},
-        lambda name, curve, wanted: field_roc.at_point(params, name, curve, wanted, walks, label),
+    recordings = read_all(config.recordings, args.format)
+    return judge_stance(
+        params, recordings, names, sensor=sensor, clock=config.clock, still_below=args.still_below
     )
+
+
+def _field(args: argparse.Namespace, config: Config, names: list[str]) -> Judged:
+    system, params = resolve(config)
+    if not looks_at_field(params):
+        those = ", ".join(_looking())
+        raise InputError(
+            f"the system '{system.name}' does not look at the field; choose another --system ({those})"
+        )
+    sensor = next(iter(sensor_names(system.needs, config.sensor).values()))
+    made = (read_labelled(path, args.format, sensor) for path in config.recordings)
+    return judge_field(
+        system,
+        params,
+        made,
+        names,
+        sensor=sensor,
+        clock=config.clock,
+        same_field=args.same_field,
+        same_heading=args.same_heading,
+    )
+
+
+def _looking() -> list[str]:
+    """The systems that look at the field."""
+    return [name for name, each in SYSTEMS.items() if looks_at_field(each.defaults())]
 
 
 def _plain(value: Interval) -> dict[str, float]:
@@ -223,7 +193,7 @@ def _point(found: Banded, reached: Reached, wanted: Wanted, upto: float) -> dict
     }
 
 
-def _write_point(path: Any, config: Config, judged: _Judged, point: dict[str, Any]) -> None:
+def _write_point(path: Any, config: Config, judged: Judged, point: dict[str, Any]) -> None:
     write_parameters(
         path,
         config,

@@ -136,6 +136,7 @@ class Magyq:
     )  # fmt: skip
     outlier: Array = leaf(
         8.0, unit="uT", low=1e-3, high=1e3, source=_MAGYQ, point=True,
+        moves="root",  # a length beside a variance
         meaning="Distance of the last strength from the window's mean below which it passes; raised, "
         "more windows pass.",
     )  # fmt: skip
@@ -230,12 +231,13 @@ class Vector:
 
     false_alarm: Array = leaf(
         0.1, unit="1", low=1e-6, high=0.999, source=_KIT, tune=True, point=True,
+        moves="search",
         meaning="Chance that a window with a change as long as `change` passes as quasi-static; raised, "
         "more windows pass.",
     )  # fmt: skip
     change: Array = leaf(
         3.0, unit="uT", low=1e-3, high=100.0, source=f"{_KIT}: what quasi-static means", tune=True,
-        point=True,
+        point=True, moves="search",
         meaning="Change of the field that is to be noticed; raised, the threshold grows and more windows "
         "pass.",
     )  # fmt: skip

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from pedjax.evaluation.resampling import Banded
+from pedjax.detection.bands import Banded
 from pedjax.evaluation.scores import score_kind
 
 if TYPE_CHECKING:

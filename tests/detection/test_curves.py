@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import pedjax
+from pedjax.detection import roc
+from pedjax.detection.stance import labelled, still_labels
 from pedjax.detectors.stance import DETECTORS
-from pedjax.evaluation import roc
 from pedjax.recording import Truth, inertial
-from pedjax.stance_roc import labelled, still_labels
 from tests import tools
 from tests.reference import evaluation as oracle
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pedjax.evaluation import roc
-from pedjax.evaluation.resampling import Labelled, areas, banded, compare, detection_at, difference, draw
+from pedjax.detection import roc
+from pedjax.detection.bands import Labelled, areas, banded, compare, detection_at, difference, draw
 from tests.reference import evaluation as oracle
 
 

@@ -3,16 +3,19 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import pedjax
-from pedjax import field_roc, parameters, sources
+from pedjax import parameters, sources
 from pedjax.cli.main import main
-from pedjax.detectors.field import FIELD_DETECTORS
+from pedjax.detection import Wanted, compare, judge_field
+from pedjax.detection import field as judging
+from pedjax.detectors.field import FIELD_DETECTORS, register_field_detector
 from pedjax.errors import InputError
-from pedjax.evaluation import compare
-from pedjax.evaluation.roc import Wanted
+from pedjax.gates import log_positive
+from pedjax.lanes import dot
 from pedjax.running import run
 from pedjax.simulation.labels import largest_changes, quasi_static
 from pedjax.simulation.scenarios import load_scenario
@@ -53,12 +56,12 @@ def pairs(scenario):
 
 @pytest.fixture(scope="module")
 def walks(pairs):
-    return [field_roc.field_walk(*pair, PARAMS) for pair in pairs]
+    return [judging.field_walk(*pair, "ma2018", PARAMS) for pair in pairs]
 
 
 @pytest.fixture(scope="module")
 def given(walks):
-    return field_roc.labelled(PARAMS, list(FIELD_DETECTORS), walks)
+    return judging.labelled(PARAMS, list(FIELD_DETECTORS), walks)
 
 
 def test_largest_changes_by_counting(rng):
@@ -90,9 +93,9 @@ def test_looks_belong_to_the_stance_around_them(pairs):
     begin = np.flatnonzero(np.diff(truth.stance.astype(int)) == 1) + 1
     first = int(truth.stance[0])
     for late in (0, 3):
-        found = field_roc.stance_at(truth.time[begin + late], truth)
+        found = judging.stance_at(truth.time[begin + late], truth)
         np.testing.assert_array_equal(found, first + np.arange(len(begin)))
-    early = field_roc.stance_at(truth.time[begin - 1], truth)
+    early = judging.stance_at(truth.time[begin - 1], truth)
     np.testing.assert_array_equal(early, first + np.arange(len(begin)))
 
 
@@ -103,20 +106,20 @@ def test_statistics_are_those_of_the_filter(pairs, walks, given):
         track = run(pairs[0][0], "ma2018", chosen)
         ratio = track.gates["field"].log_ratio[track.more["look"] > 0][3:]
         own = parameters.replace(PARAMS.field, {"detector": name})
-        np.testing.assert_allclose(field_roc.log_ratios(own, walks[0].windows), ratio, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(judging.log_ratios(own, walks[0].windows), ratio, rtol=1e-9, atol=1e-9)
         unit = np.median(each[0] / np.exp(ratio))
         np.testing.assert_allclose(each[0], unit * np.exp(ratio), rtol=1e-9)
 
 
 def test_no_detector_changes_what_it_is_given(pairs, walks):
     loose = {"field.detector": "qsf", "field.qsf.threshold": 1e5, "compass.gyroscope_rows": True}
-    again = field_roc.field_walk(*pairs[0], parameters.replace(PARAMS, loose))
+    again = judging.field_walk(*pairs[0], "ma2018", parameters.replace(PARAMS, loose))
     for one, two in zip(again.windows, walks[0].windows, strict=True):
         np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-12)  # another program rounds otherwise
 
 
 def test_parts(walks):
-    parts = field_roc.parts(walks)
+    parts = judging.parts(walks)
     count = sum(len(w.turn) for w in walks)
     assert next(iter(parts)) == "all"
     sizes = {name: sum(int(m.sum()) for m in masks) for name, masks in parts.items()}
@@ -136,7 +139,7 @@ def test_parts(walks):
 def test_operating_points(walks, given, detector, wanted):
     label = np.concatenate(given.label)
     curve = compare(given, draws=2)["all"][detector].roc
-    reached = field_roc.at_point(PARAMS, detector, curve, wanted, walks, label)
+    reached = judging.at_point(PARAMS, detector, curve, wanted, walks, label)
     threshold = curve.at(wanted)
     one_window = 1.01 / label.sum(), 1.01 / (~label).sum()
     if detector != "vector":  # its order of windows depends a little on its knob
@@ -147,24 +150,51 @@ def test_operating_points(walks, given, detector, wanted):
     else:
         assert reached.p_false_alarm <= 0.1 + one_window[1]
     chosen = parameters.replace(PARAMS, reached.parameters)
-    passed = field_roc.log_ratios(chosen.field, field_roc.together(walks)) < 0
+    passed = judging.log_ratios(chosen.field, judging.together(walks)) < 0
     assert passed[label].mean() == reached.p_detection
 
 
 def test_vector_knob_moves_the_change_where_no_probability_will_do(walks, given):
     label = np.concatenate(given.label)
     few = parameters.replace(PARAMS, {"field.vector.change": 0.3})
-    again = field_roc.labelled(few, ["vector"], walks)
+    again = judging.labelled(few, ["vector"], walks)
     curve = compare(again, draws=2)["all"]["vector"].roc
-    reached = field_roc.at_point(few, "vector", curve, Wanted(0.95, "detection"), walks, label)
+    reached = judging.at_point(few, "vector", curve, Wanted(0.95, "detection"), walks, label)
     assert list(reached.parameters) == ["field.detector", "field.vector.change"]
     assert reached.p_detection >= 0.95
+
+
+def test_a_detector_of_ones_own_is_judged_by_its_declared_point(pairs, monkeypatch):
+    @parameters.parameters
+    class Far:
+        limit: float = parameters.leaf(4.0, unit="uT", low=1e-3, high=1e3, source="test", point=True)
+
+    def far(p, window, north):
+        away = window[-1].field - window[0].field
+        return 0.5 * log_positive(dot(away, away)) - jnp.log(p.limit)
+
+    monkeypatch.setattr(parameters, "_OFFERED", dict(parameters._OFFERED))
+    monkeypatch.setitem(FIELD_DETECTORS, "far", far)  # so that it is gone afterwards
+    register_field_detector("far", far, Far)
+    chosen = system("ma2018")
+    judged = judge_field(chosen, chosen.defaults(), pairs, ["far", "ma"])
+    assert [entry["windows"] for entry in judged.entries] == [len(y) for y in judged.given.label]
+    assert judged.definition == {"same_field_uT": 3.0, "same_heading_deg": 5.0}
+    curves = judged.curves(draws=2)["all"]
+    assert curves["far"].auc.value > 0.7
+    threshold = curves["far"].roc.at(Wanted(0.1))
+    reached = judged.at_point("far", curves["far"].roc, Wanted(0.1))
+    assert reached.parameters == {"field.detector": "far", "field.far.limit": threshold}
+    assert reached.p_false_alarm <= 0.1
+    other = system("iez")
+    with pytest.raises(InputError, match="'iez' does not look at the field"):
+        judge_field(other, other.defaults(), pairs)
 
 
 def test_a_file_with_its_truth_is_the_made_walk(scenario, pairs, walks, tmp_path):
     path = tmp_path / "c.csv.gz"
     assert main(["simulate", str(scenario), "--out", str(path), "--no-figures"]) == 0
-    walk = field_roc.field_walk(*read_labelled(path), PARAMS)
+    walk = judging.field_walk(*read_labelled(path), "ma2018", PARAMS)
     np.testing.assert_array_equal(walk.label(), walks[0].label())
     np.testing.assert_allclose(walk.windows.field, walks[0].windows.field, atol=1e-6)
     other = tmp_path / "other.csv"
@@ -195,6 +225,6 @@ def test_refusals(pairs, monkeypatch):
     with pytest.raises(InputError, match="has no sensor 'nose', but foot"):
         read_labelled("corridor:0", sensor="nose")
     track = SimpleNamespace(more={"look": np.array([0.0, 1.0, 0.0, 1.0])})
-    monkeypatch.setattr(field_roc, "run_system", lambda *args, **options: track)
+    monkeypatch.setattr(judging, "run_system", lambda *args, **options: track)
     with pytest.raises(InputError, match="looks at the field are too few"):
-        field_roc.field_walk(*pairs[0], PARAMS)
+        judging.field_walk(*pairs[0], "ma2018", PARAMS)

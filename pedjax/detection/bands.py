@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pedjax.evaluation.roc import Roc, roc
+from pedjax.detection.curves import Roc, roc
 
 LEVEL = 0.95
 """Of all intervals and bands."""

@@ -16,14 +16,6 @@ class Wanted(NamedTuple):
     keep: str = "false_alarm"
 
 
-class Reached(NamedTuple):
-    """Parameters at an operating point, by path, and the probabilities that they reach."""
-
-    parameters: dict[str, float | str]
-    p_detection: float
-    p_false_alarm: float
-
-
 class Roc(NamedTuple):
     """`threshold (N,)` ascending, probability of detection `p_detection (N,)` and of false alarm
     `p_false_alarm (N,)` when still is declared below the threshold, and the area under the curve."""

@@ -1,8 +1,9 @@
-"""Field detectors against true labels: what a foot saw, the statistic of every window, and the ROC."""
+"""Field detectors against true labels: what a foot saw, and the statistic of every window."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -10,11 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from pedjax import parameters
-from pedjax.aids.magnetic_heading import looking_of, north_of
-from pedjax.detectors.field import FieldParameters, Look, log_ratio
+from pedjax.detection.bands import Labelled
+from pedjax.detection.curves import Roc, Wanted
+from pedjax.detection.judged import Judged
+from pedjax.detection.points import Reached, is_searched, moved, searched, unit_of
+from pedjax.detectors.field import FIELD_DETECTORS, FieldParameters, Look, log_ratio
 from pedjax.errors import InputError
-from pedjax.evaluation.resampling import Labelled
-from pedjax.evaluation.roc import Reached, Roc, Wanted
 from pedjax.recording import Clock, Recording
 from pedjax.running import Track
 from pedjax.running import run as run_system
@@ -22,6 +24,7 @@ from pedjax.shapes import bucket
 from pedjax.simulation.footsteps import GAITS
 from pedjax.simulation.labels import largest_changes, stance_edges, stance_middles
 from pedjax.simulation.truth import SensorTruth
+from pedjax.system import System
 
 STRAIGHT, CURVED = np.radians(10.0), np.radians(30.0)
 """Turn of the foot within a window below which its path counts as straight, above which as curved (kit)."""
@@ -59,22 +62,29 @@ class FieldWalk(NamedTuple):
         return FieldWalk(self.name, windows, *(x[keep] for x in self[2:]))
 
 
+def looks_at_field(params: Any) -> bool:
+    """Whether a system with these parameters can be asked: they have those of detectors in `field`, and a
+    `compass` that can do `only_looking` and knows `north`."""
+    return hasattr(params, "field") and hasattr(getattr(params, "compass", None), "only_looking")
+
+
 def field_walk(
     recording: Recording,
     truth: SensorTruth,
+    system: str | System,
     params: Any,
-    system: Any = "ma2018",
     *,
     sensor: str = "foot",
     clock: Clock | None = None,
 ) -> FieldWalk:
-    """Run the filter with nothing made of the field, so that no detector has a say in what it is given, and
-    put what is true beside each window of looks."""
+    """Run a system that looks at the field with nothing made of it, so that no detector has a say in what it
+    is given, and put what is true beside each window of looks.
+
+    `params` are the system's, see `looks_at_field`.
+    """
     if params.compass.looking.per == "sample":
         raise InputError("an ROC of field detectors judges steps: set compass.looking.per = step")
-    changes = {"compass.update": "none", "compass.gyroscope_rows": False}
-    levelling = {"compass.looking.levelling": looking_of(params.compass).levelling}
-    alone = parameters.replace(params, {**changes, **levelling})
+    alone = replace(params, compass=params.compass.only_looking())
     track = run_system(recording, system, alone, sensor=sensor, clock=clock)
     steps = params.field.window
     at = np.flatnonzero(track.more["look"] > 0)
@@ -159,22 +169,17 @@ def labelled(
     field_uT: float = 3.0,
     heading_deg: float = 5.0,
 ) -> Labelled:
-    """The statistics of detectors in all windows, in units of their thresholds (`vector`: over the threshold
-    in force), with labels and parts."""
+    """The statistics of detectors in all windows, to be held against the first of their operating points
+    (where that is searched: over the threshold in force), with labels and parts."""
     ends = np.cumsum([len(w.moved) for w in walks])[:-1]
-    windows, north = together(walks), float(north_of(params.compass))
+    windows, north = together(walks), float(params.compass.north())
     found = {}
     for name in detectors:
         chosen = parameters.replace(params.field, {"detector": name})
         with np.errstate(over="ignore"):
-            value = np.exp(log_ratios(chosen, windows, north)) * _unit(params.field, name)
+            value = np.exp(log_ratios(chosen, windows, north)) * unit_of(getattr(params.field, name), name)
         found[name] = np.split(value, ends)
     return Labelled(found, [w.label(field_uT, heading_deg) for w in walks], parts(walks))
-
-
-def _unit(p: FieldParameters, detector: str) -> float:
-    named = {"magyq": "variance", "vector": None}.get(detector, "threshold")
-    return float(getattr(getattr(p, detector), named)) if named else 1.0
 
 
 def parts(walks: Sequence[FieldWalk]) -> dict[str, list[np.ndarray]]:
@@ -207,49 +212,69 @@ def at_point(
     walks: Sequence[FieldWalk],
     label: np.ndarray,
 ) -> Reached:
-    """A detector at an operating point of its ROC, as far as its bounds let it. The vector detector has no
-    threshold of its own: what it has is found such that as many windows pass."""
-    windows, north = together(walks), float(north_of(params.compass))
-    own, threshold = f"field.{detector}", curve.at(wanted)
-    values: dict[str, float]
-    if detector == "vector":
+    """A detector at an operating point of its ROC, as far as its bounds let it. Where no threshold is among
+    its points, they are found such that as many windows pass as with the statistic below that threshold."""
+    windows, north = together(walks), float(params.compass.north())
+    own, threshold = getattr(params.field, detector), curve.at(wanted)
+    chosen = parameters.replace(params, {"field.detector": detector})
+    prefix = f"field.{detector}"
+    if is_searched(own, detector):
         those = label if wanted.keep == "detection" else ~label
         some = Windows(*(x[..., those] for x in windows))
-        values = _vector_at(params, threshold, some, north)
-    elif detector == "magyq":
-        limits = params.field.magyq
-        scale = threshold / float(limits.variance)
-        values = {f"{own}.variance": threshold, f"{own}.outlier": float(limits.outlier) * np.sqrt(scale)}
+
+        def passing(new: dict[str, float]) -> int:
+            tried = parameters.replace(chosen, _below(prefix, new))
+            return int((log_ratios(tried.field, some, north) < 0).sum())
+
+        count = int((np.exp(log_ratios(chosen.field, some, north)) < threshold).sum())
+        values = searched(own, detector, passing, count)
     else:
-        values = {f"{own}.threshold": threshold}
-    inside: dict[str, float | str] = {"field.detector": detector, **parameters.within(params, values)}
-    passed = log_ratios(parameters.replace(params, inside).field, windows, north) < 0
-    return Reached(inside, float(passed[label].mean()), float(passed[~label].mean()))
+        values = moved(own, detector, threshold, unit_of(own, detector))
+    inside = parameters.within(params, _below(prefix, values))
+    passed = log_ratios(parameters.replace(chosen, inside).field, windows, north) < 0
+    found = float(passed[label].mean()), float(passed[~label].mean())
+    return Reached({"field.detector": detector, **inside}, *found)
 
 
-def _vector_at(params: Any, threshold: float, windows: Windows, north: float) -> dict[str, float]:
-    """The false alarm with which as many windows pass as with the one in force and that threshold; the
-    `change` where no false alarm does it. More windows pass the larger either is."""
-    from scipy.special import ndtr, ndtri
+def _below(prefix: str, values: dict[str, float]) -> dict[str, float]:
+    return {f"{prefix}.{path}": value for path, value in values.items()}
 
-    chosen = parameters.replace(params, {"field.detector": "vector"})
-    wanted = int((np.exp(log_ratios(chosen.field, windows, north)) < threshold).sum())
-    ways: dict[str, tuple[Callable[[Any], Any], Callable[[Any], Any]]] = {
-        "field.vector.false_alarm": (ndtri, ndtr),
-        "field.vector.change": (np.log, np.exp),
-    }
-    for path, (there, back) in ways.items():
 
-        def passing(x: float, path: str = path, back: Callable[[Any], Any] = back) -> int:
-            tried = parameters.replace(chosen, {path: float(back(x))})
-            return int((log_ratios(tried.field, windows, north) < 0).sum())
+def judge_field(
+    system: System,
+    params: Any,
+    made: Iterable[tuple[Recording, SensorTruth]],
+    detectors: Sequence[str] | None = None,
+    *,
+    sensor: str = "foot",
+    clock: Clock | None = None,
+    same_field: float = 3.0,
+    same_heading: float = 5.0,
+) -> Judged:
+    """Field detectors (None: all) in a system that looks at the field, on made walks.
 
-        spec = parameters.specs(params)[path]
-        low, high = float(there(spec.low)), float(there(spec.high))
-        if not passing(low) <= wanted <= passing(high):
-            continue
-        for _ in range(30):
-            middle = (low + high) / 2
-            low, high = (low, middle) if passing(middle) >= wanted else (middle, high)
-        return {path: float(back(high))}
-    return {path: float(back(high if wanted else low))}
+    The field is quasi-static where it changed by less than `same_field` µT, and its direction by less than
+    `same_heading` degrees, from stance to stance. The walks may come one at a time: their truth is large, and
+    not kept.
+    """
+    if not looks_at_field(params):
+        raise InputError(f"the system '{system.name}' does not look at the field; choose another system")
+    names = tuple(FIELD_DETECTORS) if detectors is None else detectors
+    recordings, walks = [], []
+    for recording, truth in made:
+        recordings.append(recording)
+        walks.append(field_walk(recording, truth, system, params, sensor=sensor, clock=clock))
+    given = labelled(params, names, walks, same_field, same_heading)
+    label = np.concatenate(given.label)
+    entries = [
+        {"duration_s": r.duration, "windows": len(y), "quasi_static_fraction": float(y.mean())}
+        for r, y in zip(recordings, given.label, strict=True)
+    ]
+    return Judged(
+        params,
+        recordings,
+        given,
+        entries,
+        {"same_field_uT": same_field, "same_heading_deg": same_heading},
+        lambda name, curve, wanted: at_point(params, name, curve, wanted, walks, label),
+    )

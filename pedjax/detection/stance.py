@@ -1,19 +1,23 @@
-"""ROC of stance detectors over recordings, with labels from the true velocity."""
+"""Stance detectors against labels from the true velocity."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from pedjax import parameters
+from pedjax.detection.bands import Labelled
+from pedjax.detection.curves import Roc, Wanted
+from pedjax.detection.judged import Judged
+from pedjax.detection.points import Reached, is_searched, moved
 from pedjax.detectors import stance
+from pedjax.detectors.stance import DETECTORS
 from pedjax.errors import InputError
-from pedjax.evaluation.resampling import Labelled
-from pedjax.evaluation.roc import Reached, Roc, Wanted
-from pedjax.recording import Inertial, Recording, nominal_rate
+from pedjax.recording import Clock, Inertial, Recording, inertial, nominal_rate
 
 
 class Labels(NamedTuple):
@@ -80,15 +84,50 @@ def labelled(
 
 
 def at_point(params: Any, detector: str, curve: Roc, wanted: Wanted) -> Reached:
-    """A detector at an operating point of its ROC, as far as its bounds let it. EPS has five thresholds,
-    which go together."""
-    own, threshold = f"stance.{detector}", curve.at(wanted)
-    if detector == "eps":
-        names = [path for path in parameters.specs(params) if path.startswith(f"{own}.")]
-        values = {path: threshold * float(parameters.get(params, path)) for path in names}
-        inside = parameters.within(params, values)
-    else:
-        inside = parameters.within(params, {f"{own}.threshold": threshold})
-        threshold = inside[f"{own}.threshold"]
+    """A detector at an operating point of its ROC, as far as its bounds let it."""
+    own, prefix = getattr(params.stance, detector), f"stance.{detector}"
+    if is_searched(own, detector):
+        raise InputError(f"stance detector '{detector}': its operating points cannot be searched for")
+    threshold = curve.at(wanted)
+    values = moved(own, detector, threshold, float(DETECTORS[detector].threshold(own)))
+    inside = parameters.within(params, {f"{prefix}.{path}": x for path, x in values.items()})
+    if len(inside) == 1:
+        threshold = next(iter(inside.values()))
     reached = curve.detection_at(threshold), curve.false_alarm_at(threshold)
     return Reached({"stance.detector": detector, **inside}, *reached)
+
+
+def judge_stance(
+    params: Any,
+    recordings: Sequence[Recording],
+    detectors: Sequence[str] | None = None,
+    *,
+    sensor: str = "foot",
+    clock: Clock | None = None,
+    still_below: float = 0.1,
+) -> Judged:
+    """Stance detectors (None: all) on recordings with dense truth: the foot is still below `still_below` m/s.
+
+    `params` are a system's, with the windows and sigmas of `params.stance`.
+    """
+    names = tuple(DETECTORS) if detectors is None else detectors
+    samples = [inertial(r, sensor, clock) for r in recordings]
+    labels = [
+        still_labels(r, i, still_below, sensor=sensor) for r, i in zip(recordings, samples, strict=True)
+    ]
+    entries = [
+        {
+            "duration_s": r.duration,
+            "labelled_fraction": float(x.known.mean()),
+            "still_fraction": float(x.still[x.known].mean()),
+        }
+        for r, x in zip(recordings, labels, strict=True)
+    ]
+    return Judged(
+        params,
+        recordings,
+        labelled(params, names, samples, labels),
+        entries,
+        {"still_below_m_per_s": still_below},
+        partial(at_point, params),
+    )
