@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jax import lax
-from scipy import special
 
 
 class Meaning(NamedTuple):
@@ -27,6 +26,15 @@ def _divide(a: Any, b: Any) -> Any:
     if np.issubdtype(np.asarray(a).dtype, np.integer):
         return np.asarray(np.trunc(np.true_divide(a, b))).astype(np.asarray(a).dtype)
     return np.divide(a, b)
+
+
+def _special(name: str) -> Callable[..., Any]:
+    def found(x: Any) -> Any:
+        from scipy import special  # here: it takes a tenth of pedjax's start
+
+        return getattr(special, name)(x)
+
+    return found
 
 
 def _select(which: Any, off: Any, on: Any) -> Any:
@@ -67,7 +75,7 @@ OPERATIONS: dict[str, Meaning] = {
     "expm1": Meaning(np.expm1, lax.expm1),
     "log": Meaning(np.log, lax.log),
     "log1p": Meaning(np.log1p, lax.log1p),
-    "logistic": Meaning(special.expit, lax.logistic),
+    "logistic": Meaning(_special("expit"), lax.logistic),
     "sin": Meaning(np.sin, lax.sin),
     "cos": Meaning(np.cos, lax.cos),
     "tan": Meaning(np.tan, lax.tan),
@@ -81,7 +89,7 @@ OPERATIONS: dict[str, Meaning] = {
     "asinh": Meaning(np.arcsinh, lax.asinh),
     "acosh": Meaning(np.arccosh, lax.acosh),
     "atanh": Meaning(np.arctanh, lax.atanh),
-    "erf_inv": Meaning(special.erfinv, lax.erf_inv),
+    "erf_inv": Meaning(_special("erfinv"), lax.erf_inv),
 }
 """Every elementwise primitive that a kernel can hold: those that Pallas lowers to Triton."""
 
