@@ -2,8 +2,8 @@
 
     python -m benchmarks [SECTION ...] [--quick] [--out DIR] [--limit C_FILE] [--vicon FOLDER]
 
-Sections: walk, lanes, detectors, gradient, sweep (default: all). Rates of what runs on one core are in
-processor time, best of three after compilation; those of sweeps in wall time on all cores.
+Sections: walk, lanes, detectors, gradient, sweep (default: all of these), and gpu where there is one. What
+runs on one core is in processor time, best of three after compilation; sweeps and a GPU in wall time.
 """
 
 from __future__ import annotations
@@ -17,16 +17,19 @@ import pedjax
 from pedjax.runtime import available_cores
 
 SECTIONS = ("walk", "lanes", "detectors", "gradient", "sweep")
+APART = ("gpu",)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("sections", nargs="*", choices=[*SECTIONS, []], metavar="SECTION")
+    parser.add_argument("sections", nargs="*", choices=[*SECTIONS, *APART, []], metavar="SECTION")
     parser.add_argument("--quick", action="store_true", help="a tenth of the samples")
     parser.add_argument("--out", type=Path, help="folder for the figures as JSON and the picture")
-    parser.add_argument("--limit", type=Path, help="C source of a hand-written kernel to compare with")
+    parser.add_argument(
+        "--limit", type=Path, help="C or CUDA source of a hand-written kernel to compare with"
+    )
     parser.add_argument("--vicon", type=Path, help="folder of PyShoe's Vicon trials")
     args = parser.parse_args()
     runtime = pedjax.configure(devices=available_cores())
@@ -46,6 +49,10 @@ def main() -> None:
             from benchmarks.pictures import lanes_figure
 
             lanes_figure(found["lanes"]).savefig(args.out / "lanes.png", dpi=130)
+        if "gpu" in found:
+            from benchmarks.pictures import gpu_figure
+
+            gpu_figure(found["gpu"]).savefig(args.out / "gpu.png", dpi=130)
 
 
 def _walk(size: int, args: argparse.Namespace) -> dict[str, float]:
@@ -68,6 +75,12 @@ def _walk(size: int, args: argparse.Namespace) -> dict[str, float]:
             times += f", {rate / peer:.1f} x gaitmap" if peer else ""
             print(f"one walk, {name}, 15 states     {rate / 1e3:9.1f} k samples/s   {times}")
     return found
+
+
+def _gpu(size: int, args: argparse.Namespace) -> dict[str, str]:
+    from benchmarks import gpu
+
+    return dict(gpu.measure(size > 1, args.vicon, args.limit, workers=available_cores()))
 
 
 def _lanes(size: int, args: argparse.Namespace) -> dict[str, Any]:

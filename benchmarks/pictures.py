@@ -1,7 +1,9 @@
-"""The rate against the number of lanes."""
+"""The rate against the number of lanes, on a core and on a GPU."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -27,5 +29,34 @@ def lanes_figure(found: dict[str, Any]) -> Figure:
     ax.set_ylabel("M filter steps/s on one core")
     ax.set_ylim(bottom=0)
     ax.grid(alpha=0.3)
+    ax.legend(fontsize=8)
+    return figure
+
+
+_RATE = re.compile(r"(kernel|scan) (\w+) (float\d\d), ([\d,]+) lanes")
+
+
+def gpu_figure(rows: Mapping[str, str]) -> Figure:
+    """Steps/s on a GPU for each system and precision, of kernel and scan, the hand-written kernel dashed."""
+    curves: dict[str, list[tuple[int, float]]] = {}
+    for title, told in rows.items():
+        found, rate = _RATE.fullmatch(title), re.search(r"([\d,.]+) M steps/s", told)
+        if found and rate:
+            how, system, precision, lanes = found.groups()
+            point = int(lanes.replace(",", "")), float(rate[1].replace(",", ""))
+            curves.setdefault(f"{how}, {system}, {precision}", []).append(point)
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    ax = figure.subplots()
+    for k, (label, points) in enumerate(curves.items()):
+        ax.plot(*zip(*sorted(points), strict=True), "o-", ms=5, color=f"C{k}", label=label)
+    beside = re.search(r"([\d.]+) M steps/s", rows.get("hand-written kernel", ""))
+    if beside:
+        ax.axhline(float(beside[1]), color="0.4", ls="--", lw=1, label="hand-written CUDA kernel, float32")
+    ax.set_xscale("log", base=2)
+    ax.set_yscale("log")
+    ax.set_xlabel("parameter sets side by side (lanes)")
+    ax.set_ylabel("M filter steps/s")
+    ax.set_title(rows.get("device", ""), fontsize=9)
+    ax.grid(alpha=0.3, which="both")
     ax.legend(fontsize=8)
     return figure

@@ -147,7 +147,8 @@ def _keep_compiled(folder: Path, notes: list[str]) -> Path | None:
         notes.append(f"{place}: compiled programs cannot be kept there ({error.strerror})")
         return None
     jax.config.update("jax_compilation_cache_dir", str(place))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    # the two hundred small programs of a command cost as much to compile as a large one
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     return place
 
 

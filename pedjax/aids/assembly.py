@@ -9,6 +9,7 @@ The parameter tree is the filter's, with each aid's groups behind it under their
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -48,6 +49,7 @@ def aided(name: str, filter: Filter, aids: Sequence[Aid], title: str = "", role:
     """
     aids = tuple(aids)
     _check(name, aids)
+    _check_names(name, filter, aids)
     _groups_of(name, aids)
     magnetic = any(aid.field for aid in aids)
 
@@ -58,7 +60,7 @@ def aided(name: str, filter: Filter, aids: Sequence[Aid], title: str = "", role:
         on = [aid for aid in aids if aid.is_on(p)]
         own = {aid.name: aid.prepare(p, signals, dt, rate_hz, length) for aid in on}
         levelling_s = filter.opening_s(p)
-        seconds = max(levelling_s, *(aid.opening_s(p) for aid in aids))
+        seconds = max((levelling_s, *(aid.opening_s(p) for aid in on)))
         first, still = (max(round(s * rate_hz), 1) for s in (seconds, levelling_s))
         field = None if signals.field is None else signals.field[:first]
         levels = (jnp.arange(dt[:first].shape[0]) < still).astype(dt.dtype)
@@ -131,6 +133,15 @@ def _groups_of(name: str, aids: Sequence[Aid]) -> tuple[tuple[str, type], ...]:
                     f"system '{name}': aids define the parameters '{path}' in two ways; leave one of them out"
                 )
     return tuple((path, latest(cls)) for path, cls in groups.items())
+
+
+def _check_names(name: str, filter: Filter, aids: Sequence[Aid]) -> None:
+    own = {f.name for f in fields(filter.parameters)}
+    taken = sorted(own & {path for aid in aids for path, _ in aid.groups})
+    if taken:
+        raise InputError(
+            f"system '{name}': an aid's parameters are called '{taken[0]}', as the filter's are; rename them"
+        )
 
 
 @cache  # one class for one system: another would compile another program

@@ -4,7 +4,7 @@ off."""
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from pedjax import rotations
 from pedjax.evaluation.landmarks import Reference, onto
@@ -30,7 +30,12 @@ def heading_rms(attitude: Array, reference: Reference) -> Array:
     assert known is not None
     error = turn_about_up(jnp.moveaxis(attitude, 0, 2), jnp.moveaxis(true, 0, 2))
     known = known * jnp.ones_like(error)
-    steps = rotations.wrap(jnp.diff(error, axis=0, prepend=error[:1])) * known
+    # from one known point to the next, over what is unknown between them
+    place = jnp.arange(len(error)).reshape(-1, *(1,) * (error.ndim - 1))
+    last = lax.cummax(jnp.where(known > 0, place, -1))
+    before = jnp.concatenate([jnp.full_like(last[:1], -1), last[:-1]])
+    steps = rotations.wrap(error - jnp.take_along_axis(error, jnp.maximum(before, 0), axis=0))
+    steps = steps * known * (before >= 0)
     followed = jnp.cumsum(steps, axis=0)
     count = jnp.maximum(jnp.sum(known, axis=0), 1.0)
     away = (followed - jnp.sum(followed * known, axis=0) / count) * known

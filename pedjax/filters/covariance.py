@@ -149,7 +149,8 @@ def predict(P: Covariance, F: Transition, Q: Mapping[str, Array]) -> Covariance:
         if a in keep:
             return block(P, a, s)
         if a + s not in rows:
-            rows[a + s] = add(_times(m, block(P, b, s)) for b, m in F[a].items())
+            parts = [_times(m, block(P, b, s)) for b, m in F[a].items()]
+            rows[a + s] = add(parts) if parts else jnp.zeros_like(block(P, a, s))
         return rows[a + s]
 
     def whole(a: str, b: str) -> Array:
@@ -158,7 +159,8 @@ def predict(P: Covariance, F: Transition, Q: Mapping[str, Array]) -> Covariance:
             if a in keep:
                 return keep[a] * keep[b] * found
             return keep[b] * found
-        found = add(_times_t(row(a, d), m) for d, m in F[b].items())
+        parts = [_times_t(row(a, d), m) for d, m in F[b].items()]
+        found = add(parts) if parts else jnp.zeros_like(block(P, a, b))
         return keep[a] * found if a in keep else found
 
     found = {}
@@ -166,7 +168,8 @@ def predict(P: Covariance, F: Transition, Q: Mapping[str, Array]) -> Covariance:
         a, b = name[0], name[1]
         new = whole(a, b)
         if a == b:
-            new = new if len(F[a]) == 1 and (a in keep or F[a][a] is None) else symmetric(new)
+            is_plain = a in keep or list(F[a].values()) in ([], [None])
+            new = new if is_plain else symmetric(new)
             new = new + Q[a] if a in Q else new
         found[name] = new
     return found

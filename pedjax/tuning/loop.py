@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
+from threading import Thread
 from typing import Any
 
 import jax
@@ -15,11 +16,12 @@ import optax
 
 from pedjax import parameters
 from pedjax.ensemble import Problem, walks_for
-from pedjax.errors import InputError
+from pedjax.errors import InputError, suggest
 from pedjax.evaluation.landmarks import ALIGNMENTS
 from pedjax.evaluation.scores import score_kind
 from pedjax.gates import SoftGate
 from pedjax.identity import fingerprint
+from pedjax.kernels.columns import on_gpu
 from pedjax.packing import Batches, pack_all
 from pedjax.parameters import Spec
 from pedjax.recording import Clock, Recording
@@ -30,6 +32,8 @@ from pedjax.tuning import objective
 from pedjax.tuning.judging import Judge
 from pedjax.tuning.split import refuse_overlap
 from pedjax.walks import Sensors, distinct
+
+MODES = ("auto", *objective.GRADIENTS)
 
 Progress = Callable[[int, int, float], None]
 """Called with the iteration, their number, and the best loss so far."""
@@ -46,7 +50,7 @@ class TuneSettings:
     operating point of a detector that is among the names (0: none); `width` of the soft gate; `patience`
     checks without a better loss before stopping; `validation` part of the tuned-on recordings that gives no
     gradients: stop and winner are chosen by the hard-gate mean over those and the others together; `mode`
-    of differentiation, reverse or forward.
+    of differentiation, reverse or forward (auto: what is faster on this kind of device).
     """
 
     names: tuple[str, ...]
@@ -63,7 +67,7 @@ class TuneSettings:
     validation: float = 0.25
     check_every: int = 5
     patience: int = 4
-    mode: str = "reverse"
+    mode: str = "auto"
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -176,8 +180,8 @@ def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
     score_kind(settings.loss)
     if settings.alignment not in ALIGNMENTS:
         raise InputError(f"alignment '{settings.alignment}' is unknown; known are: {', '.join(ALIGNMENTS)}")
-    if settings.mode not in ("reverse", "forward"):
-        raise InputError(f"mode '{settings.mode}' is unknown; known are: reverse, forward")
+    if settings.mode not in MODES:
+        raise InputError(f"mode '{settings.mode}' is unknown{suggest(settings.mode, MODES)}")
     for name, low, high in _LIMITS:
         value = getattr(settings, name)
         if not isinstance(value, int | float) or not low <= value <= high:
@@ -215,23 +219,28 @@ class _Search:
         self.runs = {"gradients": 0, "hard": 0}
 
     def compiled(self, free: Mapping[str, Any]) -> Callable[[dict[str, Any]], dict[str, Any]]:
-        """The gradient by the free numbers, once it and the hard runs are compiled, both at the same time."""
-        reverse = self.settings.mode == "reverse"
-        of = objective.soft_loss_and_gradient if reverse else objective.soft_loss_and_gradient_forward
+        """The gradient by the free numbers. It is compiled while the first hard runs go on: by the time it is
+        asked for, much of that is done."""
+        mode = self.settings.mode
+        if mode == "auto":  # as measured: docs/benchmarks.md
+            mode = "forward" if on_gpu() else "reverse"
+        ready: Future[Any] = Future()
 
-        def gradient_program() -> Any:
-            with double_precision():  # the choice is each thread's own
-                given = {n: jnp.asarray(x) for n, x in free.items()}
-                return of.lower(self.problem, self.soft, given, self.batches).compile()
+        def compile_it() -> None:
+            try:
+                with double_precision():  # the choice is each thread's own
+                    given = {n: jnp.asarray(x) for n, x in free.items()}
+                    lowered = objective.GRADIENTS[mode].lower(self.problem, self.soft, given, self.batches)
+                    ready.set_result(lowered.compile())
+            except BaseException as error:
+                ready.set_exception(error)
 
-        with ThreadPoolExecutor(1) as pool:
-            made = pool.submit(gradient_program)
-            self.judged.compile()
-            program = made.result()
+        self.judged.compile()
+        Thread(target=compile_it, daemon=True).start()  # a daemon: Ctrl-C need not wait for the compiler
 
         def gradient(free: dict[str, Any]) -> dict[str, Any]:
             given = {n: jnp.asarray(x) for n, x in free.items()}
-            found: dict[str, Any] = program(self.soft, given, self.batches)[1]
+            found: dict[str, Any] = ready.result()(self.soft, given, self.batches)[1]
             return found
 
         return gradient

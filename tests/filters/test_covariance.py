@@ -160,7 +160,7 @@ def test_predict_of_any_states_is_f_p_f_transpose_plus_q(rng, case, lanes):
     found = jax.jit(covariance.predict)(blocks(P, states), F, Q)
     assert found.keys() == blocks(P, states).keys()
     found = np.asarray(covariance.dense(found, states))
-    whole = np.asarray(covariance.dense_transition(F, jnp.zeros(lanes), states))
+    whole = np.asarray(dense_transition(F, jnp.zeros(lanes), states))
     assert whole.shape == (size, size, *lanes)
     for lane in np.ndindex(*lanes):
         at = (slice(None), slice(None), *lane)

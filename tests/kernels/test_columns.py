@@ -127,9 +127,15 @@ def test_needs_whole_chunks():
         walk(toy.advance, p, starts(p, jnp.float64), given._replace(row=given.row[:-1]), 9)
 
 
-def lowered(advance, case, dtype, p, first):
-    run = jax.jit(lambda p, s, c: walk(advance, p, s, c, case.rows, Layout(32, 1), interpret=False))
-    return run.trace(p, first, case.columns).lower(lowering_platforms=("cuda",)).as_text()
+def runner(name, case, interpret):
+    """A system's whole columns, first states made in the kernel, as `filtering.points` runs them."""
+    found = system(name)
+    start = (lambda p, opening: found.start(p, None, opening), case.openings)
+
+    def run(p, s, c):
+        return walk(tools.advance_of(found), p, s, c, case.rows, Layout(32, 1), interpret, start)
+
+    return jax.jit(run)
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
@@ -137,14 +143,21 @@ def lowered(advance, case, dtype, p, first):
 def test_becomes_a_program_for_a_gpu(name, dtype):
     """Pallas finds a Triton instruction for everything; whether they compile shows on a GPU."""
     case = tools.case(name, {}, dtype, tools.some(6))
-    text = lowered(tools.advance_of(system(name)), case, dtype, case.parameters, case.starts)
-    assert text.count("custom_call") == 1
+    run = runner(name, case, False).trace(case.parameters, case.starts, case.columns)
+    assert run.lower(lowering_platforms=("cuda",)).as_text().count("custom_call") == 1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("dtype", "within"), [(jnp.float32, 3e-6), (jnp.float64, 1e-12)])
-@pytest.mark.parametrize("name", ["iez", "ma2018"])
+@pytest.mark.parametrize(
+    ("name", "dtype", "within"), [("iez", jnp.float32, 3e-6), ("ma2018", jnp.float64, 1e-12)]
+)
 def test_systems_are_their_scan(name, dtype, within):
+    """The whole kernel, interpreted; compiled without optimising, which would take minutes."""
     case = tools.case(name, {}, dtype, tools.some(3))
-    advance = tools.advance_of(system(name))
-    close(*both(advance, case.parameters, case.starts, case.columns, case.rows), within)
+    given = (case.parameters, case.starts, case.columns)
+    quick = {"xla_backend_optimization_level": 0}
+    found = runner(name, case, True).lower(*given).compile(compiler_options=quick)(*given)
+    expected = jax.jit(tools.scanned, static_argnums=(0, 4))(
+        tools.advance_of(system(name)), *given, case.rows
+    )
+    close(found, expected, within)

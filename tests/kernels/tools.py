@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pedjax import parameters
+from pedjax.filtering import _advance
 from pedjax.kernels.columns import Columns, Walked
 from pedjax.system import Signals
 from pedjax.systems import system
@@ -14,13 +15,7 @@ from pedjax.systems import system
 
 def advance_of(found):
     """A system's step in the form that a kernel takes."""
-
-    def advance(p, state, sample):
-        state, output = found.step(p, state, sample)
-        kept = {"position": output.navigation.position, "attitude": output.navigation.attitude}
-        return state, kept, {"stance": output.stance}, jnp.where(output.healthy, 0, 1).astype(jnp.int32)
-
-    return advance
+    return _advance(found, None, ("position", "attitude"))
 
 
 def scanned(advance, p, starts, columns, rows):
@@ -72,16 +67,18 @@ class Case(NamedTuple):
     columns: Columns
     rows: int
     start: object
+    openings: object
 
 
 def signals(length, seed, dtype, hz=100.0):
-    """Steps of a foot that stands for half of each second, in a field that changes a little."""
+    """Steps of a foot that stands for half of each second, in a field that changes a little; and dt."""
     rng = np.random.default_rng(seed)
     moves = (np.arange(length) % 40 >= 18)[:, None]
     force = rng.normal(size=(length, 3)) * np.where(moves, 1.5, 0.02) + [0, 0, 9.8]
     rate = rng.normal(size=(length, 3)) * np.where(moves, 0.8, 0.005)
     field = rng.normal(size=(length, 3)) * 0.1 + [5, 20, -40]
-    return Signals(*(jnp.asarray(x, dtype) for x in (force, rate, np.full(length, 1 / hz), field)))
+    sensor = Signals(*(jnp.asarray(x, dtype) for x in (force, rate, field)))
+    return {"foot": sensor}, jnp.full(length, 1 / hz, dtype)
 
 
 def case(name, changes, dtype, values, chunk=16, lengths=(40, 25, 14), columns=((0, 2), (1,)), every=5):
@@ -94,9 +91,9 @@ def case(name, changes, dtype, values, chunk=16, lengths=(40, 25, 14), columns=(
     chunks = max(sum(sizes[r] for r in members) for members in columns) + 1
     prepared = []
     for r, (n, size) in enumerate(zip(lengths, sizes, strict=True)):
-        given = signals(size * chunk, r, dtype)
-        given = given._replace(dt=jnp.where(jnp.arange(size * chunk) < n, given.dt, 0))
-        prepared.append(found.prepare(p, given, 100.0, n))
+        sensors, dt = signals(size * chunk, r, dtype)
+        dt = jnp.where(jnp.arange(size * chunk) < n, dt, 0)
+        prepared.append(found.prepare(p, sensors, dt, 100.0, n))
     which = np.full((chunks, len(columns)), -1, np.int32)
     row = np.full((chunks * chunk, len(columns)), -1, np.int32)
     laid = []
@@ -116,14 +113,14 @@ def case(name, changes, dtype, values, chunk=16, lengths=(40, 25, 14), columns=(
     openings = jax.tree.map(lambda *x: jnp.stack(x, -1), *[x.opening for x in prepared])
 
     def start(p):
-        return found.start(p, openings)
+        return found.start(p, None, openings)
 
     count = max(len(v) for v in values.values())
     starts = jax.tree.map(
         lambda x: jnp.broadcast_to(x, (*x.shape[:-2], count, len(lengths))), jax.jit(start)(p)
     )
     rows = int(row.max()) + 2
-    return Case(p, starts, Columns(samples, jnp.asarray(which), jnp.asarray(row)), rows, start)
+    return Case(p, starts, Columns(samples, jnp.asarray(which), jnp.asarray(row)), rows, start, openings)
 
 
 def some(count, seed=0):
