@@ -199,12 +199,6 @@ def lane_count(dtype: jnp.dtype, platform_name: str | None = None) -> int:
     return register // jnp.dtype(dtype).itemsize
 
 
-def steps_in_a_part(platform_name: str | None = None) -> int:
-    """Filter steps that a sweep computes between two looks at the clock, at the keyboard and at the disk:
-    about a second's worth, by the kind of device alone."""
-    return 50_000_000 if (platform_name or jax.default_backend()) == "cpu" else 4_000_000_000
-
-
 def _started() -> bool:
     """Whether a backend is up (asking JAX for its devices would start one)."""
     from jax._src import xla_bridge

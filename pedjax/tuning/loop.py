@@ -236,7 +236,7 @@ class _Search:
                 ready.set_exception(error)
 
         self.judged.compile()
-        Thread(target=compile_it, daemon=True).start()  # a daemon: Ctrl-C need not wait for the compiler
+        Thread(target=compile_it).start()  # no daemon: the compiler must not run on while Python ends
 
         def gradient(free: dict[str, Any]) -> dict[str, Any]:
             given = {n: jnp.asarray(x) for n, x in free.items()}
