@@ -76,6 +76,24 @@ def dot(x: Array, y: Array) -> Array:
     return jnp.sum(x * y, axis=0)
 
 
+def root(x: Array) -> Array:
+    """Square root with slope 0 at 0, and 0 where `x` is negative; what is not a number stays so."""
+    positive = x > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0 * x)
+
+
+def norm(x: Array, axis: int = 0, small: float = 0.0) -> Array:
+    """Length `(*L)` of `x (n, *L)` with a finite slope at zero: √(|x|² + `small`), which is smooth there, or
+    where that is 0 the exact length with slope 0."""
+    square = jnp.sum(x * x, axis=axis)
+    return jnp.sqrt(square + small) if small else root(square)
+
+
+def hypotenuse(*sides: Array, small: float) -> Array:
+    """√(a² + b² + ... + `small`) `(*L)` of numbers `(*L)`: as `norm`, of what is not in one array."""
+    return jnp.sqrt(add(x * x for x in sides) + small)
+
+
 def cross(x: Array, y: Array) -> Array:
     """Vector product of `x` and `y (3, *L)`."""
     return jnp.stack([x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]])

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from pedjax.lanes import constant, dot, eye, matmul, matmul_t
+from pedjax.lanes import constant, dot, eye, hypotenuse, matmul, matmul_t, matvec, norm
 
 
 def wrap(angle: Array) -> Array:
@@ -100,7 +100,7 @@ def from_euler(roll: Array, pitch: Array, yaw: Array) -> Array:
 
 def to_euler(c: Array) -> Array:
     """(roll, pitch, yaw) as `(3, *L)`; pitch through atan2, whose gradient stays finite at ±90 degrees."""
-    level = jnp.sqrt(c[2, 1] ** 2 + c[2, 2] ** 2 + 1e-24)
+    level = hypotenuse(c[2, 1], c[2, 2], small=1e-24)
     return jnp.stack(
         [
             jnp.arctan2(c[2, 1], c[2, 2] + 1e-15),
@@ -112,7 +112,7 @@ def to_euler(c: Array) -> Array:
 
 def from_quaternion(q: Array) -> Array:
     """Rotation matrix of the scalar-first quaternion `q (4, *L)`, normalised here."""
-    w, x, y, z = q / jnp.sqrt(dot(q, q) + 1e-30)
+    w, x, y, z = q / norm(q, small=1e-30)
     return jnp.stack(
         [
             jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
@@ -124,8 +124,13 @@ def from_quaternion(q: Array) -> Array:
 
 def tilt(force: Array) -> tuple[Array, Array]:
     """Roll and pitch of a body at rest from its specific force `(3, *L)`, z up."""
-    level = jnp.sqrt(force[1] ** 2 + force[2] ** 2 + 1e-24)
+    level = hypotenuse(force[1], force[2], small=1e-24)
     return jnp.arctan2(force[1], force[2] + 1e-15), jnp.arctan2(-force[0], level)
+
+
+def level(roll: Array, pitch: Array, vector: Array) -> Array:
+    """A vector `(3, *L)` of a body with that roll and pitch, in axes of which z is up and x ahead."""
+    return matvec(from_euler(roll, pitch, jnp.zeros_like(roll)), vector)
 
 
 def levelled(force: Array, heading: Array) -> Array:

@@ -12,20 +12,19 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from pedjax import lanes
+
 stop = jax.lax.stop_gradient
 
 
 def norm(x: Array) -> Array:
     """Length of `x (..., D)`; its gradient at zero is zero."""
-    square = jnp.sum(x * x, axis=-1)
-    zero = square <= 0
-    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
+    return lanes.norm(x, axis=-1)
 
 
 def root(x: Array) -> Array:
     """Square root; zero with zero gradient where `x` is not positive."""
-    positive = x > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
+    return lanes.root(jnp.where(x > 0, x, 0.0))
 
 
 def angle(y: Array, x: Array) -> Array:

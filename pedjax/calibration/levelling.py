@@ -1,4 +1,4 @@
-"""The field of a levelled body, and its inclination. Body forward-left-up, navigation ENU.
+"""The field of a levelled body. Body forward-left-up, navigation ENU.
 
 With roll and pitch from specific force f at rest (up),
 
@@ -16,13 +16,15 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from pedjax import rotations
 from pedjax.calibration.algebra import angle, norm
 
 
 def roll_pitch(force: Array) -> tuple[Array, Array]:
     """Roll and pitch in rad of a body at rest with specific force `(..., 3)`, in any unit.
 
-    Where it says nothing of an angle (no force, or all of it along x) that is zero, with zero gradient.
+    Where it says nothing of an angle (no force, or all of it along x) that is zero, with zero gradient, which
+    a filter has no need of: it takes `rotations.tilt`.
     """
     return angle(force[..., 1], force[..., 2]), angle(-force[..., 0], norm(force[..., 1:]))
 
@@ -30,15 +32,7 @@ def roll_pitch(force: Array) -> tuple[Array, Array]:
 def level(force: Array, mag: Array) -> Array:
     """The field `mag (..., 3)` of a body at rest, turned by its roll and pitch: `(..., 3)`, z up."""
     roll, pitch = roll_pitch(force)
-    sr, cr, sp, cp = jnp.sin(roll), jnp.cos(roll), jnp.sin(pitch), jnp.cos(pitch)
-    x, y, z = mag[..., 0], mag[..., 1], mag[..., 2]
-    across = y * sr + z * cr
-    return jnp.stack([x * cp + across * sp, y * cr - z * sr, across * cp - x * sp], axis=-1)
-
-
-def inclination(levelled: Array) -> Array:
-    """Angle in rad by which the levelled field `(..., 3)` points below the horizon (Ma 2018, Eq. 2)."""
-    return angle(-levelled[..., 2], norm(levelled[..., :2]))
+    return jnp.moveaxis(rotations.level(roll, pitch, jnp.moveaxis(mag, -1, 0)), 0, -1)
 
 
 def stance_means(values: Array, weights: Array, stances: Array, count: int) -> tuple[Array, Array]:

@@ -8,11 +8,14 @@ Either may be the identity. The levelled part is measured behind the body part.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
+
+from pedjax.lanes import add
 
 
 class Calibration(NamedTuple):
@@ -30,6 +33,14 @@ def uncalibrated() -> Calibration:
     return Calibration(jnp.zeros(3), jnp.eye(3), jnp.zeros(2), jnp.eye(2))
 
 
+def corrected(field: Sequence[Array], offset: Sequence[Any], matrix: Sequence[Sequence[Any]]) -> list[Array]:
+    """Either part, matrix (field - offset), number by number: n of the `field` and its `offset` in µT, n rows
+    of n of the `matrix`, each with any lanes."""
+    away = [m - b for m, b in zip(field, offset, strict=True)]
+    return [add(k * x for k, x in zip(row, away, strict=True)) for row in matrix]
+
+
 def apply(calibration: Calibration, mag: ArrayLike) -> Array:
     """Body part: K (raw - b) for `mag (..., 3)` µT in body axes."""
-    return (jnp.asarray(mag) - calibration.hard_iron) @ calibration.matrix.T
+    raw = jnp.moveaxis(jnp.asarray(mag), -1, 0)
+    return jnp.stack(corrected(list(raw), list(calibration.hard_iron), list(calibration.matrix)), axis=-1)

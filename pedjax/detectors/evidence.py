@@ -10,11 +10,12 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
+from pedjax.lanes import norm
 from pedjax.windows import delay, trailing_mean, trailing_moments
 
 
 def _norm(x: Array) -> Array:
-    return jnp.sqrt(jnp.sum(x * x, axis=-1) + jnp.finfo(x.dtype).tiny * 1e6)
+    return norm(x, axis=-1, small=float(jnp.finfo(x.dtype).tiny * 1e6))
 
 
 def force_and_rate(specific_force: Array, angular_rate: Array, window: int) -> Array:

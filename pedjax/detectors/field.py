@@ -24,7 +24,17 @@ from jax import Array
 
 from pedjax import rotations
 from pedjax.gates import SoftGate, log_positive
-from pedjax.lanes import add, cholesky, constant, dot, eye, forward_substitution, matmul_t
+from pedjax.lanes import (
+    add,
+    cholesky,
+    constant,
+    dot,
+    eye,
+    forward_substitution,
+    hypotenuse,
+    matmul_t,
+    norm,
+)
 from pedjax.parameters import group, leaf, offer, parameters, setting
 
 _MA = "Ma 2018"
@@ -54,7 +64,7 @@ def _mean_or_energy(y: list[Array], form: str) -> Array:
 
 def strength(field: Array) -> Array:
     """‖B‖ `(*L)`, with a finite slope at zero."""
-    return jnp.sqrt(dot(field, field) + 1e-12)
+    return norm(field, small=1e-12)
 
 
 def azimuth(field: Array) -> Array:
@@ -64,7 +74,7 @@ def azimuth(field: Array) -> Array:
 
 def inclination(field: Array) -> Array:
     """By how much the field points below the horizon, rad."""
-    return jnp.arctan2(-field[2], jnp.sqrt(field[0] ** 2 + field[1] ** 2 + 1e-12))
+    return jnp.arctan2(-field[2], hypotenuse(field[0], field[1], small=1e-12))
 
 
 def _changes(
@@ -80,7 +90,7 @@ def _changes(
 
 
 def _size(y: list[Array], absolute: bool) -> list[Array]:
-    return [jnp.sqrt(x * x + 1e-18) for x in y] if absolute else y
+    return [hypotenuse(x, small=1e-18) for x in y] if absolute else y
 
 
 @parameters

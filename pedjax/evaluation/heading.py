@@ -8,7 +8,7 @@ from jax import Array, lax
 
 from pedjax import rotations
 from pedjax.evaluation.landmarks import Reference, onto
-from pedjax.lanes import matmul_t
+from pedjax.lanes import matmul_t, root
 
 
 def turn_about_up(attitude: Array, true: Array) -> Array:
@@ -40,6 +40,4 @@ def heading_rms(attitude: Array, reference: Reference) -> Array:
     count = jnp.maximum(jnp.sum(known, axis=0), 1.0)
     away = (followed - jnp.sum(followed * known, axis=0) / count) * known
     square = jnp.sum(away * away, axis=0) / count
-    there = square > 0
-    rms = jnp.where(there, jnp.sqrt(jnp.where(there, square, 1.0)), 0.0 * square)
-    return jnp.degrees(jnp.where(jnp.sum(known, axis=0) > 0, rms, jnp.nan))
+    return jnp.degrees(jnp.where(jnp.sum(known, axis=0) > 0, root(square), jnp.nan))

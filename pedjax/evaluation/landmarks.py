@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from pedjax.lanes import align as lanes_last
+from pedjax.lanes import root
 
 ALIGNMENTS = ("none", "yaw", "yaw_translation")
 """`none`: both frames are taken as one. `yaw`: the first known points are laid on each other, then the best
@@ -40,12 +41,6 @@ class Errors(NamedTuple):
     final_2d: Array
     rms_3d: Array
     armse: Array
-
-
-def _safe_sqrt(x: Array) -> Array:
-    """sqrt with slope 0 at 0; what is not a number stays so."""
-    positive = x > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0 * x)
 
 
 def _mean(x: Array, weight: Array) -> Array:
@@ -99,11 +94,11 @@ def landmark_errors(estimate: Array, reference: Reference, alignment: str = "yaw
     square = difference[:, 0] ** 2 + difference[:, 1] ** 2
     h = reference.horizontal * jnp.ones_like(square)
     both = h * reference.vertical
-    distance = _safe_sqrt(square)
+    distance = root(square)
     last = (h > 0) & (jnp.cumsum(h[::-1], axis=0)[::-1] <= 1)
-    cube = _safe_sqrt(_mean(square + difference[:, 2] ** 2, both))
+    cube = root(_mean(square + difference[:, 2] ** 2, both))
     return Errors(
-        rms_2d=_safe_sqrt(_mean(square, h)),
+        rms_2d=root(_mean(square, h)),
         mean_2d=_mean(distance, h),
         max_2d=jnp.max(jnp.where(h > 0, distance, 0.0), axis=0),
         final_2d=jnp.sum(jnp.where(last, distance, 0.0), axis=0),

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from pedjax import rotations
-from pedjax.calibration.magnetometer import Calibration
+from pedjax.calibration.magnetometer import Calibration, corrected
 from pedjax.detectors.clock import StanceClock, started, tick
 from pedjax.detectors.field import Look, Window, inclination
 from pedjax.filters.measurements import yaw_row
@@ -108,9 +108,8 @@ class Body:
 
 def in_body(p: Body, mag: Array) -> Array:
     """The calibrated field `(3, *L)` in body axes."""
-    x, y, z = mag[0] - p.hard_x, mag[1] - p.hard_y, mag[2] - p.hard_z
     rows = ((p.xx, p.xy, p.xz), (p.yx, p.yy, p.yz), (p.zx, p.zy, p.zz))
-    return jnp.stack([a * x + b * y + c * z for a, b, c in rows])
+    return jnp.stack(corrected((mag[0], mag[1], mag[2]), (p.hard_x, p.hard_y, p.hard_z), rows))
 
 
 def calibrated_by(params: Any, calibration: Calibration) -> dict[str, float]:
@@ -179,13 +178,12 @@ def levelled(nav: Navigation, force: Array, mag: Array, level: Level, how: str) 
     yaw = rotations.to_euler(nav.attitude)[2]
     c, s = jnp.cos(yaw), jnp.sin(yaw)
     if how == "force":
-        roll, pitch = rotations.tilt(force)
-        flat = matvec(rotations.from_euler(roll, pitch, jnp.zeros_like(roll)), mag)
+        flat = rotations.level(*rotations.tilt(force), mag)
     else:
         whole = matvec(nav.attitude, mag)
         flat = jnp.stack([c * whole[0] + s * whole[1], c * whole[1] - s * whole[0], whole[2]])
-    x, y = flat[0] - level.offset_x, flat[1] - level.offset_y
-    x, y = level.xx * x + level.xy * y, level.xy * x + level.yy * y
+    rows = ((level.xx, level.xy), (level.xy, level.yy))
+    x, y = corrected((flat[0], flat[1]), (level.offset_x, level.offset_y), rows)
     return jnp.stack([c * x - s * y, s * x + c * y, flat[2] + 0 * x])
 
 

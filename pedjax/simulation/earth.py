@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from pedjax.errors import InputError, suggest
-from pedjax.lanes import dot
+from pedjax.lanes import norm
 
 _DIP = math.radians(64.0)
 _PLACES = {
@@ -24,19 +24,6 @@ _PLACES = {
     "equator": (0.0, 25.0, 0.0),
     "munich": (0.0, 48.0 * math.cos(_DIP), -48.0 * math.sin(_DIP)),
 }
-
-
-def norm(vector: Array) -> Array:
-    """Length `(*L)` of `vector (n, *L)`; its gradient is zero, not undefined, where the vector is."""
-    square = dot(vector, vector)
-    is_zero = square == 0
-    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))
-
-
-def inclination(field: Array) -> Array:
-    """Dip below the horizon `(*L)` in rad, −π/2 to π/2, of `field (3, *L)`; 0 where there is none."""
-    level = norm(field[:2])
-    return jnp.arctan2(-field[2], jnp.where((level == 0) & (field[2] == 0), 1.0, level))
 
 
 def declination(field: Array) -> Array:

@@ -23,8 +23,8 @@ from jax.typing import ArrayLike
 
 from pedjax.errors import InputError, suggest
 from pedjax.gates import gate
-from pedjax.lanes import align, cross, dot
-from pedjax.simulation.earth import homogeneous, norm
+from pedjax.lanes import align, cross, dot, norm
+from pedjax.simulation.earth import homogeneous
 
 Mode = Literal["superpose", "nearest"]
 """What posts add: all of them, or at each point the nearest one only."""

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from pedjax import InputError
+from pedjax.detectors.field import inclination
+from pedjax.lanes import norm
 from pedjax.simulation import fields
-from pedjax.simulation.earth import declination, homogeneous, inclination, norm
+from pedjax.simulation.earth import declination, homogeneous
 from pedjax.simulation.fields import Cylinders, Dipoles, Lines, Movers, compose, field_at
 
 MU0 = 4e-7 * math.pi * 1e6  # µT m / A
