@@ -11,20 +11,22 @@ import math
 import warnings
 from collections.abc import Callable
 from functools import cache, partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from pedjax.kernels.columns import Columns, Layout, on_gpu, rows_of, walk
-from pedjax.kernels.tangents import Dual, tangents
+from pedjax.kernels.tangents import Dual, dual, tangents
 from pedjax.kernels.unroll import CannotUnrollError
 from pedjax.lanes import align, lane_shape
 from pedjax.parameters import with_leaves
 from pedjax.system import Output, System
 
 Kernel = Literal["auto", "never", "interpreted"]
+
+T = TypeVar("T")
 
 
 def scan(
@@ -91,12 +93,24 @@ def points(
 
     `kernel` is `auto`, `never`, or `interpreted`, which runs the kernel on any device, slowly.
     """
+    return _by_kernel_or(
+        lambda interpret: _kernel_points(system, parameters, packed, slots, keep, interpret),
+        lambda: scan_points(system, parameters, packed, slots, keep),
+        system,
+        kernel,
+    )
+
+
+def _by_kernel_or(
+    by_kernel: Callable[[bool], T], by_scan: Callable[[], T], system: System, kernel: Kernel
+) -> T:
+    """The kernel's result where one is wanted and the step allows it, else the scan's."""
     if kernel == "interpreted" or (kernel == "auto" and on_gpu()):
         try:
-            return _kernel_points(system, parameters, packed, slots, keep, kernel == "interpreted")
+            return by_kernel(kernel == "interpreted")
         except CannotUnrollError as error:
             _say_once(system.name, str(error))
-    return scan_points(system, parameters, packed, slots, keep)
+    return by_scan()
 
 
 @cache
@@ -105,6 +119,36 @@ def _say_once(system: str, why: str) -> None:
         f"system '{system}': {why}; it runs on the GPU as a scan, many times slower than as a kernel",
         stacklevel=4,
     )
+
+
+def _advance(system: System, site: Any, keep: tuple[str, ...]) -> Any:
+    """A system's step with what is kept and summed of it, and its status."""
+
+    def advance(parameters: Any, state: Any, sample: Any) -> tuple[Any, Any, Any, Array]:
+        state, output = system.step(parameters, site, state, sample)
+        kept = {name: getattr(output.estimate, name) for name in keep}
+        return state, kept, {name: gate.weight for name, gate in output.gates.items()}, output.status
+
+    return advance
+
+
+def _walked(
+    advance: Any,
+    parameters: Any,
+    starts: Any,
+    packed: Packed,
+    slots: int,
+    layout: Layout | None,
+    interpret: bool,
+    start: Callable[[Any, Any], Any],
+) -> Points:
+    """Columns through a kernel, as `Points`; of a `Dual` step each field is one."""
+    chunks = packed.which.shape[0]
+    columns = Columns(packed.samples, packed.which, rows_of(packed.slot, chunks, slots))
+    opened = (start, packed.openings)
+    found = walk(advance, parameters, starts, columns, chunks * slots, layout, interpret, opened)
+    kept = jax.tree.map(lambda x: x.reshape(chunks, slots, *x.shape[1:]), found.kept)
+    return Points(kept, found.sums, found.status)
 
 
 def _kernel_points(
@@ -116,35 +160,17 @@ def _kernel_points(
     interpret: bool,
     layout: Layout | None = None,
 ) -> Points:
-    chunks = packed.which.shape[0]
     shape = lane_shape(parameters, jnp.zeros(packed.which.shape[1]))
     starts = starts_of(system, parameters, packed)
     if len(shape) == 1:  # no parameter has lanes: one set
         starts = jax.tree.map(lambda x: x[..., None, :], starts)
-    found = walk(
-        _advance(system, packed.site, keep),
-        parameters,
-        starts,
-        Columns(packed.samples, packed.which, rows_of(packed.slot, chunks, slots)),
-        chunks * slots,
-        layout,
-        interpret,
-        (lambda p, opening: system.start(p, packed.site, opening), packed.openings),
-    )
-    kept = jax.tree.map(lambda x: x.reshape(chunks, slots, *x.shape[1:]), found.kept)
-    points = Points(kept, found.sums, found.status)
-    return points if len(shape) == 2 else jax.tree.map(lambda x: x[..., 0, :], points)
 
+    def start(p: Any, opening: Any) -> Any:
+        return system.start(p, packed.site, opening)
 
-def _advance(system: System, site: Any, keep: tuple[str, ...]) -> Any:
-    """A system's step with what is kept of it, as kernels take it."""
-
-    def advance(parameters: Any, state: Any, sample: Any) -> tuple[Any, Any, Any, Array]:
-        state, output = system.step(parameters, site, state, sample)
-        kept = {name: getattr(output.estimate, name) for name in keep}
-        return state, kept, {name: gate.weight for name, gate in output.gates.items()}, output.status
-
-    return advance
+    advance = _advance(system, packed.site, keep)
+    found = _walked(advance, parameters, starts, packed, slots, layout, interpret, start)
+    return found if len(shape) == 2 else jax.tree.map(lambda x: x[..., 0, :], found)
 
 
 def tangent_points(
@@ -159,38 +185,26 @@ def tangent_points(
     """`points`, and how what is kept moves as the parameters at the paths of `directions` move by them: one
     direction a lane, `(S, 1)`, carried forward beside the state. The second is like `Points.kept`."""
 
-    def tangents_of(tree: Any, moves: dict[str, Array]) -> Any:
-        return with_leaves(jax.tree.map(jnp.zeros_like, tree), moves)
-
-    if not (kernel == "interpreted" or (kernel == "auto" and on_gpu())):
+    def by_scan() -> tuple[Points, dict[str, Array]]:
         run = partial(scan_points, system, packed=packed, slots=slots, keep=keep)
-        found, moved = jax.jvp(run, (parameters,), (tangents_of(parameters, directions),))
+        moves = with_leaves(jax.tree.map(jnp.zeros_like, parameters), directions)
+        found, moved = jax.jvp(run, (parameters,), (moves,))
         return found, moved.kept
-    chunks = packed.which.shape[0]
-    none = jax.tree.map(lambda x: None, parameters)
-    both = Dual(parameters, with_leaves(none, directions))
 
-    def start(given: Dual, opening: Any) -> Dual:
-        def one(p: Any) -> Any:
-            return system.start(p, packed.site, opening)
+    def by_kernel(interpret: bool) -> tuple[Points, dict[str, Array]]:
+        both = Dual(parameters, with_leaves(jax.tree.map(lambda x: None, parameters), directions))
+        starts = dual(partial(starts_of, system, packed=packed), both)
 
-        moved = jax.tree.map(lambda x, dx: jnp.zeros_like(x) if dx is None else dx, given.value, given.slope)
-        return Dual(*jax.jvp(one, (given.value,), (moved,)))
+        def start(given: Dual, opening: Any) -> Dual:
+            return dual(lambda p: system.start(p, packed.site, opening), given)
 
-    whole = partial(starts_of, system, packed=packed)
-    states = Dual(*jax.jvp(whole, (parameters,), (tangents_of(parameters, directions),)))
-    walked = walk(
-        tangents(_advance(system, packed.site, keep)),
-        both,
-        states,
-        Columns(packed.samples, packed.which, rows_of(packed.slot, chunks, slots)),
-        chunks * slots,
-        Layout(32, 1),
-        kernel == "interpreted",
-        (start, packed.openings),
-    )
-    kept = jax.tree.map(lambda x: x.reshape(chunks, slots, *x.shape[1:]), walked.kept)
-    return Points(kept.value, walked.sums.value, walked.status), kept.slope
+        advance = tangents(_advance(system, packed.site, keep))
+        found = _walked(advance, both, starts, packed, slots, Layout(32, 1), interpret, start)
+        kept: Any = found.kept
+        gates: Any = found.gates
+        return Points(kept.value, gates.value, found.status), kept.slope
+
+    return _by_kernel_or(by_kernel, by_scan, system, kernel)
 
 
 def scan_points(
@@ -215,24 +229,22 @@ def scan_points(
         picked = jnp.maximum(which, 0)
         return jax.tree.map(lambda x: _flat(x[..., picked], x.ndim - len(shape), shape), starts)
 
-    def kept_of(output: Output) -> dict[str, Array]:
-        return {name: getattr(output.estimate, name) for name in keep}
-
+    advance = _advance(system, packed.site, keep)
     first = begin(packed.which[0])
     sample = spread(jax.tree.map(lambda x: x[0], packed.samples))
-    like = jax.eval_shape(lambda: system.step(parameters, packed.site, first, sample)[1])
+    _, kept_like, gates_like, status_like = jax.eval_shape(lambda: advance(parameters, first, sample))
     rows = jnp.arange(slots)
 
     @partial(jax.checkpoint, prevent_cse=False)  # only the state is stored for each sample, not each product
     def inner(carry: Any, sample: tuple[Any, Array]) -> tuple[Any, None]:
         state, buffer, gates, status = carry
-        state, output = system.step(parameters, packed.site, state, sample[0])
+        state, kept, weights, now = advance(parameters, state, sample[0])
         buffer = {
             name: jnp.where(rows.reshape(slots, *(1,) * x.ndim) == sample[1], x, buffer[name])
-            for name, x in kept_of(output).items()
+            for name, x in kept.items()
         }
-        gates = {name: total + output.gates[name].weight for name, total in gates.items()}
-        return (state, buffer, gates, jnp.where(status == 0, output.status, status)), None
+        gates = {name: total + weights[name] for name, total in gates.items()}
+        return (state, buffer, gates, jnp.where(status == 0, now, status)), None
 
     @jax.checkpoint
     def outer(carry: Any, part: tuple[Any, Array, Array]) -> tuple[Any, Points]:
@@ -241,13 +253,13 @@ def scan_points(
         starting = spread(which) >= 0
         state = jax.tree.map(lambda new, old: jnp.where(starting, new, old), begin(which), state)
         status = jnp.where(starting, 0, status)
-        buffer = {name: jnp.zeros((slots, *x.shape), x.dtype) for name, x in kept_of(like).items()}
-        gates = {name: jnp.zeros(x.weight.shape, x.weight.dtype) for name, x in like.gates.items()}
+        buffer = {name: jnp.zeros((slots, *x.shape), x.dtype) for name, x in kept_like.items()}
+        gates = {name: jnp.zeros(x.shape, x.dtype) for name, x in gates_like.items()}
         inside = (spread(samples), spread(slot))
         (state, buffer, gates, status), _ = jax.lax.scan(inner, (state, buffer, gates, status), inside)
         return (state, status), Points(buffer, gates, status)
 
-    none = jnp.zeros(like.status.shape, like.status.dtype)
+    none = jnp.zeros(status_like.shape, status_like.dtype)
     found = jax.lax.scan(outer, (first, none), (split(packed.samples), split(packed.slot), packed.which))[1]
     return jax.tree.map(lambda x: x.reshape(*x.shape[:-2], *shape), found)
 

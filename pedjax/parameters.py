@@ -183,18 +183,7 @@ def choices(tree: Any) -> dict[str, Choice]:
 
 def active(tree: Any) -> frozenset[str]:
     """Paths of the leaves that have an effect under the tree's settings."""
-
-    def inner(node: Any, prefix: str, around: tuple[Any, ...]) -> Iterator[str]:
-        scopes = (node, *around)
-        for f in dataclasses.fields(node):
-            if "choice" in f.metadata or not _holds(f.metadata.get("when", {}), scopes):
-                continue
-            if "group" in f.metadata:
-                yield from inner(getattr(node, f.name), f"{prefix}{f.name}.", scopes)
-            else:
-                yield prefix + f.name
-
-    return frozenset(inner(tree, "", ()))
+    return frozenset(path for path in specs(tree) if not idle_because(tree, path))
 
 
 def _holds(when: When, scopes: tuple[Any, ...]) -> bool:

@@ -137,7 +137,8 @@ def nearest(time: np.ndarray, at: np.ndarray) -> np.ndarray:
 _HELD = 0.5  # s from a reading of the magnetometer, up to which it tells of the field
 
 
-def _interpolate(stream: Stream, time: np.ndarray) -> np.ndarray:
+def interpolate(stream: Stream, time: np.ndarray) -> np.ndarray:
+    """Values of a stream at other times, `(T, D)`, by straight lines between its samples."""
     return np.stack([np.interp(time, stream.time, column) for column in stream.values.T], axis=-1)
 
 
@@ -160,21 +161,21 @@ def inertial(recording: Recording, sensor: str = "foot", clock: Clock | None = N
     if not same:  # keep only where both streams exist: no extrapolation
         inside = (time >= accelerometer.time[0]) & (time <= accelerometer.time[-1])
         time, rate = time[inside], rate[inside]
-        force = _interpolate(accelerometer, time)
+        force = interpolate(accelerometer, time)
     if clock == "uniform":
         step = (time[-1] - time[0]) / (len(time) - 1)
         time = time[0] + step * np.arange(len(time))
     elif clock == "resample":
         step = float(np.median(np.diff(time)))
         grid = time[0] + step * np.arange(int((time[-1] - time[0]) / step) + 1)
-        rate, force = _interpolate(Stream(time, rate), grid), _interpolate(Stream(time, force), grid)
+        rate, force = interpolate(Stream(time, rate), grid), interpolate(Stream(time, force), grid)
         time = grid
     elif clock != "stamps":
         raise InputError(f"clock '{clock}' is unknown{suggest(clock, ('stamps', 'uniform', 'resample'))}")
     magnetic = None
     if source.magnetometer is not None:
         stream = _without_duplicates(source.magnetometer)
-        magnetic = _interpolate(stream, time)
+        magnetic = interpolate(stream, time)
         magnetic[abs(time - stream.time[nearest(stream.time, time)]) > _HELD] = np.nan
     steps = np.diff(time)
     dt = np.concatenate([steps[:1], steps])

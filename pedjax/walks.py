@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
@@ -12,7 +12,17 @@ import numpy as np
 from pedjax import rotations
 from pedjax.errors import InputError
 from pedjax.evaluation.landmarks import Reference
-from pedjax.recording import Clock, Inertial, Recording, inertial, nearest, nominal_rate, sampling_rate
+from pedjax.recording import (
+    Clock,
+    Inertial,
+    Recording,
+    Stream,
+    inertial,
+    interpolate,
+    nearest,
+    nominal_rate,
+    sampling_rate,
+)
 from pedjax.system import Need, System
 
 TRUTH_HZ = 10.0
@@ -87,7 +97,7 @@ def walk(
     first, *others = (inertial(recording, name, clock) for name in names.values())
     own = next(iter(names.values()))
     beside = [
-        _on_clock(recording.name, name, other, first.time)
+        _on_clock(recording.name, name, other, first)
         for name, other in zip(list(names.values())[1:], others, strict=True)
     ]
     placed = dict(zip(names, [first, *beside], strict=True))
@@ -99,8 +109,9 @@ def walk(
 _COVERED = 0.5  # s that a further sensor may end before the first, or begin after it
 
 
-def _on_clock(recording: str, name: str, sensor: Inertial, time: np.ndarray) -> Inertial:
-    """A sensor's samples at other times, by straight lines between them."""
+def _on_clock(recording: str, name: str, sensor: Inertial, first: Inertial) -> Inertial:
+    """A sensor's samples at the first one's times, by straight lines between them."""
+    time = first.time
     lacks = max(sensor.time[0] - time[0], time[-1] - sensor.time[-1])
     if lacks > _COVERED:
         raise InputError(
@@ -109,19 +120,10 @@ def _on_clock(recording: str, name: str, sensor: Inertial, time: np.ndarray) -> 
         )
 
     def at(values: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(time, sensor.time, column) for column in values.T], axis=-1)
+        return interpolate(Stream(sensor.time, values), time)
 
     field = None if sensor.magnetic_field is None else at(sensor.magnetic_field)
-    dt = np.diff(time, prepend=time[0])
-    dt[:1] = dt[1:2]
-    return replace(
-        sensor,
-        time=time,
-        dt=dt,
-        specific_force=at(sensor.specific_force),
-        angular_rate=at(sensor.angular_rate),
-        magnetic_field=field,
-    )
+    return Inertial(time, first.dt, at(sensor.specific_force), at(sensor.angular_rate), field)
 
 
 def points_of(

@@ -99,11 +99,10 @@ def aided(name: str, filter: Filter, aids: Sequence[Aid], title: str = "", role:
         sound = jnp.isfinite(jnp.sum(estimate.position, 0)) & covariance.is_positive(P)
         status = jnp.where(sound, Status.HEALTHY, Status.DIVERGED).astype(jnp.int32)
         sigma = {field: covariance.sigma(P, letter) for field, letter in filter.states}
+        nothing = jnp.zeros_like(estimate.position[0])
         for aid in aids:  # a gate that is off is shut
-            if aid.gate is not None and aid.gate not in gates:
-                gates[aid.gate] = Gated(
-                    jnp.zeros_like(estimate.position[0]), jnp.zeros_like(estimate.position[0])
-                )
+            if aid.gate is not None:
+                gates.setdefault(aid.gate, Gated(nothing, nothing))
         return AidedState(estimate, P, states), Output(estimate, sigma, gates, status, more)
 
     def shortest(p: Any) -> tuple[float, str]:

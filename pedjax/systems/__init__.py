@@ -14,13 +14,15 @@ from pedjax.systems.ma2018 import MA2018
 
 SYSTEMS: dict[str, System] = {each.name: each for each in (IEZ, MA2018)}
 
+_OURS = frozenset(SYSTEMS)
+
 FILTERS = {INERTIAL.name: INERTIAL}
 """What aids can be put on, by name."""
 
 
 def register_system(system: System) -> System:
     """Make a system of your own known by its name; one of the package's cannot be replaced."""
-    if system.name in (IEZ.name, MA2018.name):
+    if system.name in _OURS:
         raise InputError(f"the system '{system.name}' comes with pedjax; give yours another name")
     SYSTEMS[system.name] = system
     return system

@@ -121,8 +121,9 @@ def tune(
         hard = parameters.cast(gated(params, 0.0), float)
         pack = partial(pack_all, chosen, hard, site=site)
         most = settings.starts * max(settings.grid, 1)
-        judged = Judge(problem, hard, settings.names, pack(walks), most)
-        batches = pack([walks[i] for i in training])
+        everything = pack(walks)
+        judged = Judge(problem, hard, settings.names, everything, most)
+        batches = pack([walks[i] for i in training]) if validation else everything
         search = _Search(problem, settings, specs, hard, judged, batches, (training, validation))
         best = search.run(progress)
         tuned = parameters.with_leaves(params, best)
