@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from pedjax import parameters
 from pedjax.errors import InputError
@@ -73,6 +74,20 @@ def losses(
         value = found.errors[problem.loss]
         each.append(jnp.where((found.status == 0) & jnp.isfinite(value), value, jnp.inf))
     return batches.joined(each)
+
+
+def in_blocks(of: Callable[[dict[str, Array]], Any], values: dict[str, Array], used: ArrayLike) -> Any:
+    """What `of` gives for blocks of sets `values[path] (B, S)`, one after the other, the first `used` of
+    them: a tree of `(B, ...)`, zero for the others."""
+
+    def one(i: Array, whole: Any) -> Any:
+        found = of(jax.tree.map(lambda x: x[i], values))
+        return jax.tree.map(lambda x, y: x.at[i].set(y), whole, found)
+
+    blocks = next(iter(values.values())).shape[0]
+    like = jax.eval_shape(of, jax.tree.map(lambda x: x[0], values))
+    empty = jax.tree.map(lambda x: jnp.zeros((blocks, *x.shape), x.dtype), like)
+    return jax.lax.fori_loop(0, used, one, empty)
 
 
 def losses_along(

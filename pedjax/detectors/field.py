@@ -93,6 +93,29 @@ def _size(y: list[Array], absolute: bool) -> list[Array]:
     return [hypotenuse(x, small=1e-18) for x in y] if absolute else y
 
 
+def _per() -> Any:
+    return setting(
+        "step", choices=("step", "second"), source=_KIT,
+        meaning="Whether a change is counted as it is, from look to look (step), or divided by the time "
+        "between (second).",
+    )  # fmt: skip
+
+
+def _absolute(source: str) -> Any:
+    return setting(
+        True, source=source,
+        meaning="Whether the sizes of changes are added up, so that changes of opposite sign do not cancel.",
+    )  # fmt: skip
+
+
+def _form(default: str, source: str) -> Any:
+    return setting(
+        default, choices=("mean", "energy"), source=source,
+        meaning="Whether the changes are added up and then squared (mean), or squared and then added up "
+        "(energy).",
+    )  # fmt: skip
+
+
 @parameters
 class Qsf:
     """QSF of Afzal, Renaudin and Lachapelle 2011: the rate of change of the field's strength alone."""
@@ -107,16 +130,8 @@ class Qsf:
         meaning="Usual change of strength in an undisturbed field; raised, changes count for less and "
         "more windows pass.",
     )  # fmt: skip
-    form: str = setting(
-        "mean", choices=("mean", "energy"), source="Afzal 2011",
-        meaning="Whether the changes are added up and then squared (mean), or squared and then added up "
-        "(energy).",
-    )  # fmt: skip
-    per: str = setting(
-        "step", choices=("step", "second"), source=_KIT,
-        meaning="Whether a change is counted as it is, from look to look (step), or divided by the time "
-        "between (second).",
-    )  # fmt: skip
+    form: str = _form("mean", "Afzal 2011")
+    per: str = _per()
 
 
 @parameters
@@ -128,11 +143,7 @@ class Qmd(Qsf):
         meaning="Statistic of QMD below which the field is quasi-static; raised, more windows pass, "
         "disturbed ones too.",
     )  # fmt: skip
-    form: str = setting(
-        "energy", choices=("mean", "energy"), source="Zhang",
-        meaning="Whether the changes are added up and then squared (mean), or squared and then added up "
-        "(energy).",
-    )  # fmt: skip
+    form: str = _form("energy", "Zhang")
 
 
 @parameters
@@ -172,15 +183,8 @@ class Iqsf:
         meaning="Usual change of strength in iQSF; raised, changes of strength count for less and more "
         "windows pass.",
     )  # fmt: skip
-    absolute: bool = setting(
-        True, source=_KIT,
-        meaning="Whether the sizes of changes are added up, so that changes of opposite sign do not cancel.",
-    )  # fmt: skip
-    per: str = setting(
-        "step", choices=("step", "second"), source=_KIT,
-        meaning="Whether a change is counted as it is, from look to look (step), or divided by the time "
-        "between (second).",
-    )  # fmt: skip
+    absolute: bool = _absolute(_KIT)
+    per: str = _per()
 
 
 @parameters
@@ -212,20 +216,9 @@ class Ma:
         meaning="Whether the test takes the change of the heading difference (rate), or the difference "
         "itself (level).",
     )  # fmt: skip
-    absolute: bool = setting(
-        True, source=_MA,
-        meaning="Whether the sizes of changes are added up, so that changes of opposite sign do not cancel.",
-    )  # fmt: skip
-    form: str = setting(
-        "mean", choices=("mean", "energy"), source=_MA,
-        meaning="Whether the changes are added up and then squared (mean), or squared and then added up "
-        "(energy).",
-    )  # fmt: skip
-    per: str = setting(
-        "step", choices=("step", "second"), source=_KIT,
-        meaning="Whether a change is counted as it is, from look to look (step), or divided by the time "
-        "between (second).",
-    )  # fmt: skip
+    absolute: bool = _absolute(_MA)
+    form: str = _form("mean", _MA)
+    per: str = _per()
 
 
 @parameters

@@ -26,6 +26,13 @@ _KIT = "kit choice"
 _MISSING = 1e10  # a window that is not there: never still, and its square finite in float32
 
 
+def _window(name: str, seconds: float = 0.025, source: str = "PyShoe: W = 5 at 200 Hz") -> Any:
+    return setting(
+        seconds, source=source,
+        meaning=f"Length of the window of {name}; longer, a short rest no longer counts as stance.",
+    )  # fmt: skip
+
+
 @parameters
 class Shoe:
     """SHOE, the generalised likelihood ratio test of Skog et al. 2010."""
@@ -45,10 +52,7 @@ class Shoe:
         meaning="Noise by which SHOE divides the rate's part; raised, the rate counts for less and more "
         "samples pass.",
     )  # fmt: skip
-    window_s: float = setting(
-        0.025, source="PyShoe: W = 5 at 200 Hz",
-        meaning="Length of the window of SHOE; longer, a short rest no longer counts as stance.",
-    )  # fmt: skip
+    window_s: float = _window("SHOE")
 
 
 @parameters
@@ -60,10 +64,7 @@ class Ared:
         meaning="Mean square angular rate below which the foot counts as still; raised, more samples are "
         "taken for stance.",
     )  # fmt: skip
-    window_s: float = setting(
-        0.025, source="PyShoe: W = 5 at 200 Hz",
-        meaning="Length of the window of ARED; longer, a short rest no longer counts as stance.",
-    )  # fmt: skip
+    window_s: float = _window("ARED")
 
 
 @parameters
@@ -75,10 +76,7 @@ class Amvd:
         meaning="Variance of the force below which the foot counts as still; raised, more samples are "
         "taken for stance.",
     )  # fmt: skip
-    window_s: float = setting(
-        0.025, source="PyShoe: W = 5 at 200 Hz",
-        meaning="Length of the window of AMVD; longer, a short rest no longer counts as stance.",
-    )  # fmt: skip
+    window_s: float = _window("AMVD")
 
 
 @parameters
@@ -95,10 +93,7 @@ class Mag:
         meaning="Noise by which MAG divides the force's size less gravity; raised, the statistic falls "
         "and more samples pass.",
     )  # fmt: skip
-    window_s: float = setting(
-        0.025, source="PyShoe: W = 5 at 200 Hz",
-        meaning="Length of the window of MAG; longer, a short rest no longer counts as stance.",
-    )  # fmt: skip
+    window_s: float = _window("MAG")
 
 
 @parameters
@@ -145,10 +140,7 @@ class Eps:
         meaning="Limit of the rate's energy about x and y in stance; raised, this test rejects fewer "
         "samples.",
     )  # fmt: skip
-    window_s: float = setting(
-        0.15, source="Sejong 2020: 15 samples at 100 Hz",
-        meaning="Length of the window of EPS; longer, a short rest no longer counts as stance.",
-    )  # fmt: skip
+    window_s: float = _window("EPS", 0.15, "Sejong 2020: 15 samples at 100 Hz")
 
 
 def _shoe(p: Shoe, e: Array, gravity: Array) -> Array:

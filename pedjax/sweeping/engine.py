@@ -15,7 +15,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from pedjax import parameters
-from pedjax.ensemble import Problem, scores, walks_for
+from pedjax.ensemble import Problem, in_blocks, scores, walks_for
 from pedjax.errors import InputError, suggest
 from pedjax.evaluation.landmarks import ALIGNMENTS
 from pedjax.evaluation.scores import score_kind, told_with
@@ -239,14 +239,8 @@ def _blocks(
         gates = {f"{name}_fraction": weight for name, weight in found.gates.items()}
         return {**table, "healthy": found.status == 0, "status": found.status, **gates}
 
-    def one(i: Array, whole: dict[str, Array]) -> dict[str, Array]:
-        found = columns(jax.tree.map(lambda x: x[i], values))
-        return jax.tree.map(lambda x, y: x.at[i].set(y), whole, found)
-
-    blocks = next(iter(values.values())).shape[0]
-    like = jax.eval_shape(columns, jax.tree.map(lambda x: x[0], values))
-    empty = jax.tree.map(lambda x: jnp.zeros((blocks, *x.shape), x.dtype), like)
-    return jax.lax.fori_loop(0, used, one, empty)
+    found: dict[str, Array] = in_blocks(columns, values, used)
+    return found
 
 
 def _shape_of_block(job: Job, count: int) -> tuple[int, int]:

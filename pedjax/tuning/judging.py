@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from pedjax.ensemble import Problem, losses
+from pedjax.ensemble import Problem, in_blocks, losses
 from pedjax.packing import Batches
 from pedjax.runtime import lane_count
 
@@ -20,13 +20,8 @@ from pedjax.runtime import lane_count
 def _blocks(problem: Problem, params: Any, values: dict[str, Array], used: Array, batches: Batches) -> Array:
     """Losses `(B, S, R)` of blocks of sets `values[path] (B, S)`, the first `used` of them."""
 
-    def one(i: Array, whole: Array) -> Array:
-        block = jax.tree.map(lambda x: x[i], values)
-        return whole.at[i].set(losses(problem, params, block, batches, "auto"))
-
-    blocks, sets = next(iter(values.values())).shape
-    empty = jnp.zeros((blocks, sets, len(batches.order)), batches.parts[0].samples.dtype)
-    return jax.lax.fori_loop(0, used, one, empty)
+    found: Array = in_blocks(lambda block: losses(problem, params, block, batches, "auto"), values, used)
+    return found
 
 
 class Judge:
