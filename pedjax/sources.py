@@ -20,7 +20,7 @@ from pedjax.simulation.world import Simulated, simulate
 
 def is_made(name: str) -> bool:
     """Whether a name stands for a walk that the package makes: a scenario that comes along, as `demo` or
-    `office-loop:3` (`SCENARIO:SEED`)."""
+    `office-loop:3` (`SCENARIO:SEED`), or several, as `demo:1..8`."""
     return name.partition(":")[0] in scenarios() and not Path(name).exists()
 
 
@@ -36,6 +36,27 @@ def made(name: str) -> Simulated:
     if not (seed or "0").isdigit():
         raise InputError(f"'{name}': the seed of a made walk is a whole number, as in {scenario}:3")
     return simulate(scenario, int(seed or "0"))
+
+
+def spelled_out(names: Sequence[str]) -> list[str]:
+    """The same names, `SCENARIO:FIRST..LAST` replaced by each of its walks.
+
+    >>> spelled_out(["walk.csv", "demo:1..3"])
+    ['walk.csv', 'demo:1', 'demo:2', 'demo:3']
+    """
+    found: list[str] = []
+    for name in names:
+        scenario, _, seeds = name.partition(":")
+        first, dots, last = seeds.partition("..")
+        if not (dots and is_made(name)):
+            found.append(name)
+        elif first.isdigit() and last.isdigit() and int(first) <= int(last):
+            found += [f"{scenario}:{seed}" for seed in range(int(first), int(last) + 1)]
+        else:
+            raise InputError(
+                f"'{name}': several made walks are named by whole numbers, as in {scenario}:1..8"
+            )
+    return found
 
 
 def read_all(

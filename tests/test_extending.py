@@ -9,13 +9,28 @@ import pytest
 
 import pedjax
 from pedjax import parameters
+from pedjax.aids import AIDS
 from pedjax.cli import main
-from pedjax.systems import assembled
+from pedjax.detectors.field import FIELD_DETECTORS
+from pedjax.detectors.stance import DETECTORS
+from pedjax.evaluation.scores import SCORES
+from pedjax.systems import SYSTEMS, assembled
 from pedjax.tuning import TuneSettings
 from tests import tools
 
 GUIDE = Path(__file__).parent.parent / "docs" / "extending.md"
 BLOCKS = re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forgotten():
+    """What the blocks register is not there for other tests."""
+    registries = (SYSTEMS, AIDS, DETECTORS, FIELD_DETECTORS, SCORES, parameters._OFFERED)
+    before = [dict(registry) for registry in registries]
+    yield
+    for registry, known in zip(registries, before, strict=True):
+        registry.clear()
+        registry.update(known)
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from pedjax.recording import Recording
 from pedjax.running import Track
 from pedjax.running import run as run_system
 from pedjax.scoring import Score, evaluate
-from pedjax.sources import read_all
+from pedjax.sources import read_all, spelled_out
 from pedjax.tuning import refuse_overlap, split
 from pedjax.tuning import tune as tune_system
 from pedjax.walks import distinct
@@ -34,10 +34,11 @@ _MOST_PICTURES = 12  # of single walks while tuning
 
 def info(args: argparse.Namespace) -> int:
     """What each file holds; raw signals as pictures where --out is given."""
-    recordings = read_all(args.recordings, args.format)
+    names = spelled_out(args.recordings)
+    recordings = read_all(names, args.format)
     out = folder(args.out) if args.out else None
     described = []
-    for path, recording, stem in zip(args.recordings, recordings, _stems(recordings), strict=True):
+    for path, recording, stem in zip(names, recordings, _stems(recordings), strict=True):
         say(*_describe(path, recording))
         sensors = {n: {"rate_hz": s.gyroscope.rate} for n, s in recording.sensors.items()}
         described.append(
@@ -230,6 +231,7 @@ def tune(args: argparse.Namespace) -> int:
     mean = f"mean_{unit}"
     write_metrics(
         out, config, entries, loss=settings.loss, before=before, after=after, filter_runs=tuned.runs,
+        warnings=list(tuned.warnings),
         tuned={n: {"from": float(parameters.get(params, n)), "to": v} for n, v in tuned.values.items()},
     )  # fmt: skip
     write_table(out / "history.csv", _history(tuned.history, unit))
@@ -243,6 +245,8 @@ def tune(args: argparse.Namespace) -> int:
             f"{group.replace('_', ' ')} ({before[group]['count']} recordings): mean {settings.loss} "
             f"{_in(before[group][mean], unit)} before, {_in(after[group][mean], unit)} after"
         )
+    for doubt in tuned.warnings:
+        say(f"  look at: {doubt}")
     say(f"filter runs: {tuned.runs['gradients']} gradients, {tuned.runs['hard']} hard", f"results in {out}")
     return 0
 

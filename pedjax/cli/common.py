@@ -14,6 +14,7 @@ from pedjax.config import Config, load, load_plugin, override, resolve, resolved
 from pedjax.errors import InputError
 from pedjax.filters.compass import calibrated_by
 from pedjax.output import write_json, write_toml
+from pedjax.sources import spelled_out
 from pedjax.systems import SYSTEMS
 
 
@@ -40,7 +41,8 @@ def configured(args: argparse.Namespace) -> Config:
     config = override(config, args.set)
     if not config.recordings:
         raise InputError("no recording was given; name files, or demo:0 for a walk made by the package")
-    return config
+    recordings, held_back = (tuple(spelled_out(names)) for names in (config.recordings, config.held_back))
+    return replace(config, recordings=recordings, held_back=held_back)
 
 
 def loaded(args: argparse.Namespace) -> Config:

@@ -26,7 +26,7 @@ def _parser() -> argparse.ArgumentParser:
         "recordings",
         nargs="*",
         metavar="RECORDING",
-        help="a file, or SCENARIO:SEED (as demo:0) for a walk made by the package",
+        help="a file, or SCENARIO:SEED (as demo:0, demo:1..8) for walks made by the package",
     )
     recordings.add_argument(
         "--format", metavar="TOML", help="description of a csv or npz file (docs/formats.md)"

@@ -91,6 +91,20 @@ class Tuned:
     fingerprints: tuple[str, ...] = field(repr=False)
     loss: str = "armse"
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Why the tuned values may not suit other recordings."""
+        count, names = len(self.before["tuned_on"]), len(self.names)
+        remedy = f"tune on more than {count}, or fewer parameters than {names} (--names)"
+        if "held_back" not in self.before:
+            return ("nothing was held back, so nobody knows what these values do elsewhere: try --split 0.7",)
+        before, after = (np.mean(list(part["held_back"].values())) for part in (self.before, self.after))
+        if after <= before:
+            return ()
+        return (
+            f"held-back recordings are worse than before: the values fit what they were tuned on; {remedy}",
+        )
+
 
 def tune(
     recordings: Sequence[Recording],
@@ -199,6 +213,18 @@ def _part(count: int, settings: TuneSettings) -> tuple[list[int], list[int]]:
     return sorted(order[size:].tolist()), sorted(order[:size].tolist())
 
 
+def starts(specs: Mapping[str, Spec], params: Any, settings: TuneSettings) -> dict[str, np.ndarray]:
+    """Free numbers `(starts,)` of each parameter: the first at the given value, the others scattered around
+    it, each parameter by its own name, whatever else is tuned and in which order."""
+    free = {}
+    for name, spec in specs.items():
+        rng = np.random.default_rng([settings.seed, *name.encode()])
+        scatter = rng.normal(size=settings.starts) * settings.spread
+        scatter[0] = 0.0
+        free[name] = float(spec.to_free(parameters.get(params, name))) + scatter
+    return free
+
+
 class _Search:
     """The state of one tuning, kept on the host between jitted steps."""
 
@@ -246,17 +272,6 @@ class _Search:
 
         return gradient
 
-    def starts(self) -> dict[str, np.ndarray]:
-        """Free numbers of all starts: the first at the given values."""
-        rng = np.random.default_rng(self.settings.seed)
-        s = self.settings.starts
-        free = {}
-        for name, spec in self.specs.items():
-            centre = float(spec.to_free(parameters.get(self.params, name)))
-            scatter = rng.normal(size=s) * self.settings.spread
-            free[name] = centre + np.where(np.arange(s) == 0, 0.0, scatter)
-        return free
-
     def values(self, free: Mapping[str, Any]) -> dict[str, np.ndarray]:
         return {name: np.asarray(self.specs[name].from_free(x)) for name, x in free.items()}
 
@@ -277,7 +292,7 @@ class _Search:
 
     def run(self, progress: Progress | None) -> dict[str, float]:
         settings = self.settings
-        free = self.starts()
+        free = starts(self.specs, self.params, settings)
         gradient_of = self.compiled(free)
         free = self.grid(free, width=2.5)
         optimiser = optax.chain(

@@ -9,7 +9,9 @@ import pytest
 
 import pedjax
 from pedjax.cli.main import main
+from pedjax.errors import InputError
 from pedjax.readers import write_csv
+from pedjax.sources import spelled_out
 from tests.cli.calling import call, metrics, refused
 
 SCORE = {
@@ -85,6 +87,15 @@ def test_demo_by_name_and_info(tmp_path, capsys):
     (entry,) = json.loads((out / "info.json").read_text())["recordings"]
     assert entry["sensors"] == {"foot": {"rate_hz": pytest.approx(200.0)}}
     assert list(out.glob("*.png"))
+
+
+def test_several_made_walks_are_named_at_once():
+    assert spelled_out(["a.csv", "demo:9..11", "office-loop"]) == [
+        "a.csv", "demo:9", "demo:10", "demo:11", "office-loop",
+    ]  # fmt: skip
+    for wrong in ("demo:3..1", "demo:..2", "demo:1..x"):
+        with pytest.raises(InputError, match=r"as in demo:1\.\.8"):
+            spelled_out([wrong])
 
 
 def test_parameters_are_listed(capsys):

@@ -111,17 +111,21 @@ class Loss:
             len(self.names), 2, HALVINGS
         )
         central = (loss[:, 0] - loss[:, 1]) / (2 * steps)
-        return {n: ridders(central[i]) for i, n in enumerate(self.names)}, np.ptp(loss, axis=(1, 2))
+        rounding = 4 * np.finfo(float).eps * np.abs(loss).max() / steps
+        return {n: ridders(central[i], rounding) for i, n in enumerate(self.names)}, np.ptp(loss, axis=(1, 2))
 
 
-def ridders(central):
-    """Extrapolate differences at halved steps to step 0; the entry that agrees best with its neighbours."""
+def ridders(central, rounding):
+    """Extrapolate differences at halved steps to step 0; the entry that agrees best with its neighbours.
+
+    None is known better than its losses are rounded: at small steps two entries may agree by chance.
+    """
     table, best, error = [central], central[0], np.inf
     for order in range(1, 4):
         before = table[-1]
         after = before[1:] + (before[1:] - before[:-1]) / (4.0**order - 1)
         for k, value in enumerate(after):
-            here = max(abs(value - before[k]), abs(value - before[k + 1]))
+            here = max(abs(value - before[k]), abs(value - before[k + 1])) + rounding[k + order]
             if here < error:
                 best, error = value, here
         table.append(after)

@@ -9,7 +9,7 @@ import pedjax
 from pedjax import parameters
 from pedjax.errors import InputError
 from pedjax.recording import Landmarks
-from pedjax.tuning import TuneSettings, tune
+from pedjax.tuning import TuneSettings, loop, tune
 from tests import tools
 
 NAMES = ("stance.shoe.threshold", "updates.zero_velocity")
@@ -107,6 +107,29 @@ def test_the_winner_is_the_best_that_was_judged(tuned):
         for t, v in zip(row["training"], row["validation"], strict=True)
     ]
     assert calls[-1][2] == pytest.approx(min(judged), rel=1e-12)
+
+
+def test_it_is_said_what_nobody_knows_and_what_got_worse(tuned):
+    found, _ = tuned
+    assert found.warnings == ()
+    worse = replace(found, before=found.after, after=found.before)
+    (doubt,) = worse.warnings
+    assert "tune on more than 3, or fewer parameters than 2" in doubt
+    alone = replace(found, before={"tuned_on": found.before["tuned_on"]})
+    assert "nothing was held back" in alone.warnings[0]
+
+
+def test_a_parameter_starts_where_it_does_whatever_else_is_tuned(walks, start):
+    def starts(names):
+        return loop.starts(
+            {n: parameters.specs(start)[n] for n in names}, start, settings(names=names, starts=4)
+        )
+
+    both, one = starts(NAMES[::-1]), starts(NAMES[1:])
+    np.testing.assert_array_equal(both[NAMES[1]], one[NAMES[1]])
+    given = [float(parameters.specs(start)[n].to_free(parameters.get(start, n))) for n in NAMES]
+    assert [both[n][0] for n in NAMES] == given
+    assert np.ptp(both[NAMES[0]] - both[NAMES[1]]) > 0.1  # each is scattered on its own
 
 
 @pytest.mark.parametrize("rule", ["any", pytest.param("all", marks=pytest.mark.slow)])
