@@ -116,6 +116,21 @@ def add(parts: Iterable[Array]) -> Array:
     return reduce(operator.add, parts)
 
 
+def product(a: Array, b: Array) -> Array:
+    """As `matmul`, but repeated by the compiler in each kernel that reads it: for what one other uses."""
+    return add(a[:, k, None] * b[None, k] for k in range(a.shape[1]))
+
+
+def product_t(a: Array, b: Array) -> Array:
+    """As `matmul_t`, repeated likewise."""
+    return add(a[:, None, k] * b[None, :, k] for k in range(a.shape[1]))
+
+
+def t_product(a: Array, b: Array) -> Array:
+    """The transpose of `a (k, m, *L)` times `b (k, n, *L)`, repeated likewise."""
+    return add(a[k, :, None] * b[k, None] for k in range(a.shape[0]))
+
+
 def once(x: Array) -> Array:
     """The same array, computed in one place however many use it.
 

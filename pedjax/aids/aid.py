@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 from jax import Array
 from jax.typing import ArrayLike
 
-from pedjax.filters.covariance import Covariance, Rows
+from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Opening, Sample
+from pedjax.filters.kalman import Rows
 from pedjax.system import Gated, Signals
 
 

@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 
 from pedjax.aids.aid import Aid, Seen
 from pedjax.errors import InputError
-from pedjax.filters import covariance
+from pedjax.filters import covariance, kalman
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Filter, Opening, Sample
 from pedjax.parameters import grown, latest
@@ -91,7 +91,7 @@ def aided(name: str, filter: Filter, aids: Sequence[Aid], title: str = "", role:
             if rows is None:
                 continue
             assert weight is not None
-            P, correction = covariance.update(P, rows, weight)
+            P, correction = kalman.update(P, rows, weight)
             estimate = filter.correct(estimate, correction)
             for other in aids:
                 if other.name in states:

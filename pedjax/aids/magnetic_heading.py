@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 from pedjax import rotations
 from pedjax.aids.aid import Aid, Measured, Seen
 from pedjax.detectors import field as detectors
-from pedjax.filters import compass, covariance, hard_iron, measurements
+from pedjax.filters import compass, hard_iron, kalman, measurements
 from pedjax.filters.compass import Body, HeadingNoise, Level, Looking, Looks
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Opening, still_mean
@@ -214,7 +214,7 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
         else:
             against = anchor if q.update == "anchored" else looks.window[-2].field
             rows = measurements.same_field(seen.field, against, sigma_field)
-        far = covariance.normalised_innovation(P, rows)
+        far = kalman.normalised_innovation(P, rows)
         weight = now * quasi * (q.tail + rows.innovation.shape[0]) / (q.tail + far)
         weight = jnp.minimum(weight, 1.0)
         if q.update == "anchored":  # only while the anchor is of this quasi-static stretch

@@ -82,9 +82,8 @@ def _changes(
 ) -> list[Array]:
     """Changes from look to look, of an angle in (-pi, pi], by the step or by the second."""
     found = []
-    for before, after in pairwise(window):
-        y = of(after) - of(before)
-        y = rotations.wrap(y) if angle else y
+    for (before, old), (after, new) in pairwise([(look, of(look)) for look in window]):
+        y = rotations.wrap(new - old) if angle else new - old
         found.append(y if per == "step" else y / jnp.maximum(after.time - before.time, 1e-3))
     return found
 

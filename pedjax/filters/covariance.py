@@ -22,16 +22,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from pedjax.lanes import (
-    add,
-    cholesky,
-    eye,
-    forward_substitution,
-    matmul,
-    matmul_t,
-    symmetric,
-    transpose,
-)
+from pedjax.lanes import add, eye, matmul, matmul_t, symmetric, transpose
 from pedjax.rotations import skew
 
 STATES = "tgpva"
@@ -185,71 +176,3 @@ def _times_t(x: Array, matrix: Array | None) -> Array:
     if matrix is None:
         return x
     return matmul_t(x, matrix) if matrix.ndim == x.ndim else matrix * x
-
-
-class Rows(NamedTuple):
-    """A measurement: innovation `z (m, *L)`, its noise covariance `R (m, m, *L)`, and H by blocks.
-
-    `H` maps a state to its `(m, 3, *L)` matrix, or to None for the identity (m = 3).
-    """
-
-    innovation: Array
-    noise: Array
-    H: dict[str, Array | None]
-
-
-class Whitened(NamedTuple):
-    """An innovation seen by its own spread: `z` rows of L⁻¹ (innovation), and `Y[state]` rows of L⁻¹ H P,
-    with L Lᵀ = w H P Hᵀ + R."""
-
-    z: list[Array]
-    Y: dict[str, list[Array]]
-
-
-def _through(H: dict[str, Array | None], P: Covariance, state: str) -> Array:
-    """H P for the columns of one state, `(m, 3, *L)`."""
-    parts = [
-        block(P, row, state) if matrix is None else matmul(matrix, block(P, row, state))
-        for row, matrix in H.items()
-    ]
-    return add(parts)
-
-
-def whiten(P: Covariance, rows: Rows, weight: Array) -> Whitened:
-    """The innovation and H P through the Cholesky factor of their spread, for an update of that `weight`."""
-    HP = {s: _through(rows.H, P, s) for s in states_of(P)}
-    HPH = sum(
-        (HP[s] if matrix is None else matmul_t(HP[s], matrix) for s, matrix in rows.H.items()),
-        jnp.zeros_like(rows.noise),
-    )
-    lower = cholesky(weight * HPH + rows.noise)
-    z = forward_substitution(lower, rows.innovation)
-    return Whitened(z, {s: forward_substitution(lower, HP[s]) for s in HP})
-
-
-def downdate(P: Covariance, seen: Whitened, weight: Array) -> tuple[Covariance, dict[str, Array]]:
-    """P − w Yᵀ Y, symmetric, and positive as far as rounding allows; and the correction of each state, to be
-    added."""
-    z, Y = seen
-    correction = {s: weight * add(y * e for y, e in zip(Y[s], z, strict=True)) for s in Y}
-
-    def removed(a: str, b: str) -> Array:
-        return add(x[:, None] * y[None] for x, y in zip(Y[a], Y[b], strict=True))
-
-    return {name: P[name] - weight * removed(*name) for name in P}, correction
-
-
-def update(P: Covariance, rows: Rows, weight: Array) -> tuple[Covariance, dict[str, Array]]:
-    """Kalman update with the measurement's information scaled by `weight (*L)` in [0, 1]: S = w H P Hᵀ + R,
-    K = w P Hᵀ S⁻¹. Returns the covariance and the correction of each state, to be added."""
-    return downdate(P, whiten(P, rows, weight), weight)
-
-
-def normalised_innovation(P: Covariance, rows: Rows) -> Array:
-    """zᵀ S⁻¹ z `(*L)` with S = H P Hᵀ + R: χ² with m degrees of freedom where the model holds."""
-    HPH = rows.noise
-    for s, matrix in rows.H.items():
-        HP = _through(rows.H, P, s)
-        HPH = HPH + (HP if matrix is None else matmul_t(HP, matrix))
-    z = forward_substitution(cholesky(HPH), rows.innovation)
-    return add(e * e for e in z)

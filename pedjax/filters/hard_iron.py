@@ -24,8 +24,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from pedjax import rotations
-from pedjax.filters import covariance
-from pedjax.filters.covariance import Covariance, Rows
+from pedjax.filters import covariance, kalman
+from pedjax.filters.covariance import Covariance
+from pedjax.filters.kalman import Rows
 from pedjax.gates import SoftGate, gate, log_positive
 from pedjax.lanes import add, align, dot, eye, lane_shape, matvec
 from pedjax.parameters import leaf, parameters
@@ -177,8 +178,8 @@ def step(p: TrackerParameters, state: State, rate: Array, reading: Array, dt: Ar
     since = jnp.where(passes, dt, 1.0)  # finite, with finite slopes, where nothing is read
     noise = p.noise * p.noise / since * one + jnp.zeros_like(P["ff"])
     rows = Rows(weight * (reading - field - state.offset), noise, {"f": None, "o": None})
-    seen = covariance.whiten(P, rows, weight)
-    P, correction = covariance.downdate(P, seen, weight)
+    seen = kalman.whiten(P, rows, weight)
+    P, correction = kalman.downdate(P, seen, weight)
 
     share = weight * dt / (dt + p.window)
     lean = (1 - share) * state.lean + share * add(one[:, i] * e for i, e in enumerate(seen.z))

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from pedjax import rotations
-from pedjax.filters.covariance import Rows
+from pedjax.filters.kalman import Rows
 from pedjax.filters.strapdown import Navigation
 from pedjax.lanes import eye, matmul, matmul_t, matvec
 from pedjax.rotations import skew

@@ -38,7 +38,7 @@ _RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 _EXTREMES = {"argmax": "gt", "argmin": "lt"}
 _CALLS = {
     "jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint",
-    "custom_jvp_call", "custom_vjp_call", "custom_vjp_call_jaxpr",
+    "custom_jvp_call", "custom_vjp_call", "custom_vjp_call_jaxpr", "linear_call",
 }  # fmt: skip
 _DATA = {
     "gather": (0,), "scatter": (0, 2), "dynamic_slice": (0,), "dynamic_update_slice": (0, 1), "pad": (0, 1),
@@ -118,7 +118,7 @@ def unknown_primitives(jaxpr: Jaxpr) -> set[str]:
 
 def _called(params: dict[str, Any]) -> tuple[Jaxpr, Sequence[Any]]:
     """The jaxpr behind a call, and its constants."""
-    inner = next(params[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr") if key in params)
+    inner = next(params[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr", "callee") if key in params)
     return (inner.jaxpr, inner.consts) if isinstance(inner, ClosedJaxpr) else (inner, ())
 
 

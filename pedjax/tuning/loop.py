@@ -262,8 +262,8 @@ class _Search:
             except BaseException as error:
                 ready.set_exception(error)
 
-        self.judged.compile()
         Thread(target=compile_it).start()  # no daemon: the compiler must not run on while Python ends
+        self.judged.compile()
 
         def gradient(free: dict[str, Any]) -> dict[str, Any]:
             given = {n: jnp.asarray(x) for n, x in free.items()}

@@ -10,8 +10,8 @@ import pedjax
 from pedjax import parameters
 from pedjax.aids import FIELD_RATE, MAGNETIC_HEADING, ZERO_ANGULAR_RATE, ZERO_VELOCITY, Aid, Measured, aided
 from pedjax.errors import InputError
-from pedjax.filters.covariance import Rows
 from pedjax.filters.inertial import INERTIAL
+from pedjax.filters.kalman import Rows
 from pedjax.lanes import eye
 from pedjax.parameters import leaf
 from pedjax.system import Gated, Need, Signals

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from pedjax import rotations
-from pedjax.filters import covariance, measurements, strapdown
-from pedjax.filters.covariance import STATES, ProcessNoise, Rows
+from pedjax.filters import covariance, kalman, measurements, strapdown
+from pedjax.filters.covariance import STATES, ProcessNoise
+from pedjax.filters.kalman import Rows
 from pedjax.filters.strapdown import Navigation
 from pedjax.lanes import eye, matvec
 from tests.reference import filter as oracle
@@ -23,7 +24,7 @@ SETTINGS = oracle.Settings(
     gyroscope_bias=NOISE.gyroscope_bias,
     accelerometer_bias=NOISE.accelerometer_bias,
 )
-update = jax.jit(covariance.update)
+update = jax.jit(kalman.update)
 
 
 def propagated(P, attitude, force_n, dt, noise):
@@ -193,10 +194,10 @@ def test_update_and_downdate_of_any_states(rng, case):
     R, z, weight = np.diag([0.4, 0.7]), rng.normal(size=2), 0.3
     rows = Rows(jnp.asarray(z), jnp.asarray(R), {s: jnp.asarray(m) for s, m in parts.items()})
     expected, dx = dense_update(P, H, R, z, weight)
-    seen = covariance.whiten(blocks(P, states), rows, jnp.asarray(weight))
+    seen = kalman.whiten(blocks(P, states), rows, jnp.asarray(weight))
     for found, correction in (
         update(blocks(P, states), rows, weight),
-        covariance.downdate(blocks(P, states), seen, jnp.asarray(weight)),
+        kalman.downdate(blocks(P, states), seen, jnp.asarray(weight)),
     ):
         assert set(covariance.states_of(found)) == set(states)
         scaled(np.asarray(covariance.dense(found, states)), expected, 1e-10)
@@ -209,7 +210,7 @@ def test_update_and_downdate_of_any_states(rng, case):
     broken = blocks(P, states)
     broken[2 * states[-1]] = -broken[2 * states[-1]]
     assert not bool(covariance.is_positive(broken))
-    nis = float(covariance.normalised_innovation(blocks(P, states), rows))
+    nis = float(kalman.normalised_innovation(blocks(P, states), rows))
     assert nis == pytest.approx(z @ np.linalg.solve(H @ P @ H.T + R, z), rel=1e-9)
 
 
@@ -253,7 +254,7 @@ def test_update_is_the_dense_weighted_joseph_update(rng, kind, weight):
     scaled(np.asarray(covariance.dense(found)), expected, 1e-10)
     np.testing.assert_allclose(np.concatenate([correction[s] for s in STATES]), dx, rtol=1e-9, atol=1e-11)
     S = H @ P @ H.T + R
-    nis = float(covariance.normalised_innovation(blocks(P), rows))
+    nis = float(kalman.normalised_innovation(blocks(P), rows))
     assert nis == pytest.approx(z @ np.linalg.solve(S, z), rel=1e-9)
 
 
@@ -391,7 +392,7 @@ def test_zero_velocity_shrinks_a_tilt_error_in_every_heading(heading):
             nav, middle, force_n = strapdown.mechanise(nav, GRAVITY * c[2], jnp.zeros(3), 0.01, GRAVITY)
             noise = FOREVER._replace(gyroscope=1e-6, accelerometer=1e-4)
             P = propagated(P, middle, force_n, jnp.asarray(0.01), noise)
-            P, correction = covariance.update(P, measurements.zero_velocity(nav, jnp.asarray(1e-3)), 1.0)
+            P, correction = kalman.update(P, measurements.zero_velocity(nav, jnp.asarray(1e-3)), 1.0)
             return (measurements.correct(nav, correction), P), None
 
         return jax.lax.scan(body, (nav, P), None, length=100)[0]

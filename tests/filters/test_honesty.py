@@ -7,8 +7,9 @@ import pytest
 from scipy.stats import chi2
 
 from pedjax import rotations
-from pedjax.filters import covariance, strapdown
-from pedjax.filters.covariance import ProcessNoise, Rows
+from pedjax.filters import covariance, kalman, strapdown
+from pedjax.filters.covariance import ProcessNoise
+from pedjax.filters.kalman import Rows
 from pedjax.filters.measurements import correct
 from pedjax.lanes import eye
 
@@ -72,7 +73,7 @@ def monte_carlo(key, scale):
         )
         seen = truth.velocity + SIGMA * white[4]
         rows = Rows(seen - estimate.velocity, SIGMA**2 * eye(3, seen[0]), {"v": None})
-        P, correction = covariance.update(P, rows, jnp.where(k % 4 == 0, 1.0, 0.0))
+        P, correction = kalman.update(P, rows, jnp.where(k % 4 == 0, 1.0, 0.0))
         return (truth, correct(estimate, correction), P), None
 
     (truth, estimate, P), _ = jax.lax.scan(step, (truth, estimate, P), jnp.arange(STEPS))

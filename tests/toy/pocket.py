@@ -11,8 +11,8 @@ from jax import Array
 
 import pedjax
 from pedjax import rotations
-from pedjax.filters import covariance
-from pedjax.filters.covariance import Rows
+from pedjax.filters import covariance, kalman
+from pedjax.filters.kalman import Rows
 from pedjax.gates import SoftGate, gate, log_positive
 from pedjax.lanes import align, dot, eye, lane_shape, matmul, matvec
 from pedjax.parameters import group, leaf, parameters, setting
@@ -159,7 +159,7 @@ def step(p, site, state, sample):
         gates[name] = _passes(own, length * length)
         found = matvec(estimate.attitude, seen)
         rows = Rows(known - found, own.sigma**2 * one, {"e": -rotations.skew(found)})
-        P, correction = covariance.update(P, rows, gates[name].weight * (dt > 0))
+        P, correction = kalman.update(P, rows, gates[name].weight * (dt > 0))
         turned = matmul(rotations.exp(correction["e"]), estimate.attitude)
         estimate = Estimate(position, turned, estimate.gyroscope_bias + correction["g"])
     ahead = jnp.arctan2(estimate.attitude[1, 0], estimate.attitude[0, 0] + 1e-12)
