@@ -152,8 +152,8 @@ def pack(
         parts = [prepared[r].samples for r in members]
         rest = (chunks - sum(sizes[r] for r in members)) * chunk
         parts.append(jax.tree.map(lambda x, n=rest: _idle(x, n), parts[-1]))
-        samples.append(jax.tree.map(lambda *x: jnp.concatenate(x), *parts))
-    together = partial(jax.tree.map, lambda *x: jnp.stack(x, axis=-1))
+        samples.append(jax.tree.map(lambda *x: np.concatenate(x), *parts))
+    together = partial(jax.tree.map, lambda *x: jnp.asarray(np.stack(x, axis=-1)))
     return Batch(
         slots=slots,
         packed=Packed(
@@ -209,6 +209,6 @@ def _rows(walks: Sequence[Walk]) -> int:
     return bucket(max(1, *(len(w.index) for w in walks)))
 
 
-def _idle(x: Array, n: int) -> Array:
+def _idle(x: np.ndarray, n: int) -> np.ndarray:
     """Padding after a column's last recording: its last (padding) sample repeated, so that time stands."""
-    return jnp.broadcast_to(x[-1:], (n, *x.shape[1:]))
+    return np.broadcast_to(x[-1:], (n, *x.shape[1:]))

@@ -24,9 +24,10 @@ def _prepare(
 
 
 def prepare(system: System, parameters: Any, walk: Walk, dtype: Any, padded: int) -> Inputs:
-    """A system's inputs for a walk padded to a length: the last sample repeated with dt = 0."""
+    """A system's inputs for a walk padded to a length, in the host's memory, where cutting them and putting
+    them together compiles nothing: the last sample repeated with dt = 0."""
     n = len(walk)
-    extra = bucket(padded) - n
+    extra = bucket(padded, parts=2) - n  # compiling costs more than preparing what is thrown away
 
     def pad(x: np.ndarray) -> Array:
         return jnp.asarray(np.concatenate([x, np.repeat(x[-1:], extra, axis=0)]), dtype)
@@ -38,4 +39,5 @@ def prepare(system: System, parameters: Any, walk: Walk, dtype: Any, padded: int
     dt = jnp.asarray(np.concatenate([walk.imu.dt, np.zeros(extra)]), dtype)
     sensors = {need.role: signals(walk.sensors[need.role], need.field) for need in system.needs}
     found = _prepare(system, parameters, sensors, dt, walk.rate_hz, n)
-    return found._replace(samples=jax.tree.map(lambda x: x[:padded], found.samples))
+    samples, opening = jax.tree.map(np.asarray, (found.samples, found.opening))
+    return Inputs(jax.tree.map(lambda x: x[:padded], samples), opening)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -104,7 +105,7 @@ class Inertial:
     angular_rate: np.ndarray
     magnetic_field: np.ndarray | None = None
 
-    @property
+    @cached_property
     def rate(self) -> float:
         """Sampling rate in Hz, gaps left out."""
         return sampling_rate(self.dt)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -42,7 +43,7 @@ class Stream:
     def __post_init__(self) -> None:
         _as_floats(self, "time", "values")
 
-    @property
+    @cached_property
     def rate(self) -> float:
         """Sampling rate in Hz, gaps left out."""
         return sampling_rate(np.diff(self.time))
