@@ -2,8 +2,9 @@
 
     python -m benchmarks [SECTION ...] [--quick] [--out DIR] [--limit C_FILE] [--vicon FOLDER]
 
-Sections: walk, lanes, detectors, gradient, sweep (default: all of these), and gpu where there is one. What
-runs on one core is in processor time, best of three after compilation; sweeps and a GPU in wall time.
+Sections: walk, lanes, detectors, gradient, sweep (default: all of these); trials, with PyShoe's Vicon trials;
+and gpu where there is one. What runs on one core is in processor time, best of three after compilation;
+sweeps, trials and a GPU in wall time.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import pedjax
 from pedjax.runtime import available_cores
 
 SECTIONS = ("walk", "lanes", "detectors", "gradient", "sweep")
-APART = ("gpu",)
+APART = ("trials", "gpu")
 
 
 def main() -> None:
@@ -75,6 +76,14 @@ def _walk(size: int, args: argparse.Namespace) -> dict[str, float]:
             times += f", {rate / peer:.1f} x gaitmap" if peer else ""
             print(f"one walk, {name}, 15 states     {rate / 1e3:9.1f} k samples/s   {times}")
     return found
+
+
+def _trials(size: int, args: argparse.Namespace) -> dict[str, Any]:
+    from benchmarks import trials
+
+    if args.vicon is None:
+        raise SystemExit("trials: say where PyShoe's Vicon trials are with --vicon FOLDER")
+    return trials.measure(args.vicon, size > 1)
 
 
 def _gpu(size: int, args: argparse.Namespace) -> dict[str, str]:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,7 @@ import numpy as np
 import pedjax
 from benchmarks import cases
 from benchmarks.sweeps import RANGES
+from benchmarks.trials import Case, gradient, vicon
 from pedjax import filtering, parameters
 from pedjax.kernels.columns import Layout
 from pedjax.packing import Batch, pack
@@ -30,16 +31,6 @@ from pedjax.systems import SYSTEMS
 from pedjax.walks import Walk
 
 Row = tuple[str, str]
-
-
-class Case(NamedTuple):
-    """Something to measure: `make()` gives the work, whose first run compiles; `told(seconds)` says what came
-    of the least wall time of its runs."""
-
-    title: str
-    make: Callable[[], Callable[[], Any]]
-    told: Callable[[float], str]
-    double: bool = False
 
 
 def batch_of(name: str, length: int, dtype: Any) -> tuple[Any, Batch]:
@@ -146,51 +137,6 @@ def sweep_rate(name: str, count: int, dtype: str = "float32") -> Case:
         return f"{size['steps'] / seconds / 1e6:,.0f} M steps/s, {seconds:.2f} s"
 
     return Case(title, make, told, dtype == "float64")
-
-
-def vicon(folder: Path) -> Case:
-    """Eighteen thresholds over all trials, from recordings to a table of errors."""
-    found: dict[str, Any] = {}
-
-    def make() -> Callable[[], Any]:
-        recordings = [pedjax.read(path) for path in sorted(folder.glob("*.mat*"))]
-        thresholds = {"stance.shoe.threshold": np.geomspace(1e6, 5e8, 18)}
-
-        def work() -> None:
-            found["sweep"] = pedjax.sweep(recordings, thresholds)
-
-        return work
-
-    def told(seconds: float) -> str:
-        result = found["sweep"]
-        return f"{len(result.names)} trials in {seconds:.3f} s, best mean {result.mean[result.best]:.4f} m"
-
-    return Case("18 thresholds x Vicon trials", make, told)
-
-
-def gradient(mode: str, dtype: str, folder: Path, starts: int = 64, trials: int = 19) -> Case:
-    """One gradient by twelve parameters of so many starts over so many Vicon trials."""
-    from benchmarks.filters import TUNED
-    from pedjax.ensemble import Problem, walks_for
-    from pedjax.packing import pack_all
-    from pedjax.tuning import objective
-    from pedjax.tuning.loop import gated
-
-    def make() -> Callable[[], Any]:
-        system = SYSTEMS["iez"]
-        params = parameters.cast(gated(system.defaults(), 0.25), jnp.dtype(dtype))
-        recordings = [pedjax.read(path) for path in sorted(folder.glob("*.mat*"))[:trials]]
-        walks = walks_for(system, params, recordings, None, None, "armse")
-        batches = pack_all(system, params, walks, jnp.dtype(dtype))
-        specs = parameters.specs(params)
-        centre = {n: float(specs[n].to_free(parameters.get(params, n))) for n in TUNED}
-        spread = np.random.default_rng(0).normal(size=(len(TUNED), starts)) * 0.1
-        free = {n: jnp.asarray(x + c, dtype) for (n, c), x in zip(centre.items(), spread, strict=True)}
-        problem = Problem(system, "armse", "yaw_translation")
-        return lambda: objective.GRADIENTS[mode](problem, params, free, batches)
-
-    title = f"gradient {mode} {dtype}, 12 parameters, {starts} starts, {trials} trials"
-    return Case(title, make, lambda s: f"{s:.3f} s", dtype == "float64")
 
 
 def limit(source: Path, lanes: int = 65536, length: int = 2000) -> str:
