@@ -215,10 +215,10 @@ def _part(count: int, settings: TuneSettings) -> tuple[list[int], list[int]]:
 
 def starts(specs: Mapping[str, Spec], params: Any, settings: TuneSettings) -> dict[str, np.ndarray]:
     """Free numbers `(starts,)` of each parameter: the first at the given value, the others scattered around
-    it, each parameter by its own name, whatever else is tuned and in which order."""
+    it, drawn in the order of the names."""
+    rng = np.random.default_rng(settings.seed)
     free = {}
     for name, spec in specs.items():
-        rng = np.random.default_rng([settings.seed, *name.encode()])
         scatter = rng.normal(size=settings.starts) * settings.spread
         scatter[0] = 0.0
         free[name] = float(spec.to_free(parameters.get(params, name))) + scatter
