@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -66,3 +66,27 @@ def packed(length: int, dtype: Any, **changes: Any) -> tuple[Any, Packed]:
     which[0] = 0
     lanes = jax.tree.map(lambda x: x[..., None], inputs(params, length, dtype))
     return params, Packed(lanes.samples, lanes.opening, jnp.asarray(which), jnp.asarray(slot))
+
+
+class Case(NamedTuple):
+    """Something to measure: `make()` gives the work, whose first run compiles; `told(seconds)` says what came
+    of the least wall time of its runs."""
+
+    title: str
+    make: Callable[[], Callable[[], Any]]
+    told: Callable[[float], str]
+    double: bool = False
+
+
+def compiled(case: Case) -> Callable[[], Any]:
+    """Its work, run once."""
+    with jax.enable_x64(case.double):
+        work = case.make()
+        jax.block_until_ready(work())
+        return work
+
+
+def timed(case: Case, work: Callable[[], Any]) -> str:
+    """What comes of the least wall time of two runs."""
+    with jax.enable_x64(case.double):
+        return case.told(best_of(work, 2, wall=True))

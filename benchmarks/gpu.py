@@ -21,8 +21,9 @@ import numpy as np
 
 import pedjax
 from benchmarks import cases
+from benchmarks.cases import Case, compiled, timed
 from benchmarks.sweeps import RANGES
-from benchmarks.trials import Case, gradient, vicon
+from benchmarks.trials import gradient, vicon
 from pedjax import filtering, parameters
 from pedjax.kernels.columns import Layout
 from pedjax.packing import Batch, pack
@@ -193,12 +194,6 @@ def measure(
         rows.append(("hand-written kernel", limit(source)))
     print(*(": ".join(row) for row in rows), sep="\n", flush=True)
 
-    def compiled(case: Case) -> Callable[[], Any]:
-        with jax.enable_x64(case.double):
-            work = case.make()
-            jax.block_until_ready(work())
-            return work
-
     def left() -> float:
         return max(seconds - (time.perf_counter() - began), 0.0)
 
@@ -209,9 +204,7 @@ def measure(
         wait([made for _, made in group], timeout=left())
         for case, made in group:
             try:
-                work = made.result(timeout=0)
-                with jax.enable_x64(case.double):
-                    found = case.told(cases.best_of(work, 2, wall=True))
+                found = timed(case, made.result(timeout=0))
             except Exception as error:
                 made.cancel()
                 found = f"FAILED {type(error).__name__}: {str(error)[:200]}"

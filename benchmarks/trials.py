@@ -5,28 +5,18 @@ python -m benchmarks trials --vicon FOLDER
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import pedjax
+from benchmarks.cases import Case, compiled, timed
 from pedjax import parameters
 from pedjax.systems import SYSTEMS
-
-
-class Case(NamedTuple):
-    """Something to measure: `make()` gives the work, whose first run compiles; `told(seconds)` says what came
-    of the least wall time of its runs."""
-
-    title: str
-    make: Callable[[], Callable[[], Any]]
-    told: Callable[[float], str]
-    double: bool = False
 
 
 def vicon(folder: Path) -> Case:
@@ -97,26 +87,13 @@ def float32_error(folder: Path, starts: int = 18, trials: int = 4) -> tuple[str,
     return told, {"median": float(np.median(off)), "worst": float(off.max()), "between": float(between.max())}
 
 
-def timed(case: Case, runs: int = 3) -> tuple[float, str]:
-    """The least wall time of some runs after the first, which compiles."""
-    with jax.enable_x64(case.double):
-        work = case.make()
-        jax.block_until_ready(work())
-        seconds = []
-        for _ in range(runs):
-            began = time.perf_counter()
-            jax.block_until_ready(work())
-            seconds.append(time.perf_counter() - began)
-    return min(seconds), case.told(min(seconds))
-
-
 def measure(folder: Path, small: bool) -> dict[str, Any]:
     """All of it, printed as it comes."""
     starts = 8 if small else 64
     found: dict[str, Any] = {}
     for case in (vicon(folder), gradient("reverse", "float64", folder, starts)):
-        found[case.title], told = timed(case)
-        print(f"{case.title}: {told}", flush=True)
+        found[case.title] = timed(case, compiled(case))
+        print(f"{case.title}: {found[case.title]}", flush=True)
     told, found["float32 tangents"] = float32_error(folder)
     print(f"tangents in float32, {told}", flush=True)
     return found

@@ -94,15 +94,14 @@ class Tuned:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Why the tuned values may not suit other recordings."""
-        count, names = len(self.before["tuned_on"]), len(self.names)
-        remedy = f"tune on more than {count}, or fewer parameters than {names} (--names)"
         if "held_back" not in self.before:
             return ("nothing was held back, so nobody knows what these values do elsewhere: try --split 0.7",)
         before, after = (np.mean(list(part["held_back"].values())) for part in (self.before, self.after))
         if after <= before:
             return ()
         return (
-            f"held-back recordings are worse than before: the values fit what they were tuned on; {remedy}",
+            "held-back recordings are worse than before: the values fit what they were tuned on; tune on "
+            f"more than {len(self.before['tuned_on'])}, or fewer parameters than {len(self.names)} (--names)",
         )
 
 
