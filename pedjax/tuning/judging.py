@@ -35,6 +35,7 @@ class Judge:
         columns = min(part.packed.which.shape[1] for part in batches.parts)
         self.sets = max(min(lane_count(jnp.result_type(float)) // columns, most), 1)
         self.count = -(-most // self.sets)
+        self._lowered: Any = None
         self._program: Any = None
 
     def _laid(self, values: Mapping[str, Any]) -> tuple[dict[str, Array], int]:
@@ -42,12 +43,17 @@ class Judge:
         index = np.minimum(np.arange(self.count * self.sets), count - 1).reshape(self.count, self.sets)
         return {name: jnp.asarray(np.asarray(values[name], float)[index]) for name in self.names}, count
 
+    def trace(self) -> None:
+        """Make what the compiler needs, if it is not there yet."""
+        if self._lowered is None:
+            laid, _ = self._laid({name: np.ones(1) for name in self.names})
+            self._lowered = _blocks.lower(self.problem, self.params, laid, jnp.asarray(0), self.batches)
+
     def compile(self) -> None:
         """Make the program, if it is not there yet."""
+        self.trace()
         if self._program is None:
-            laid, _ = self._laid({name: np.ones(1) for name in self.names})
-            lowered = _blocks.lower(self.problem, self.params, laid, jnp.asarray(0), self.batches)
-            self._program = lowered.compile()
+            self._program = self._lowered.compile()
 
     def __call__(self, values: Mapping[str, Any]) -> np.ndarray:
         """Loss `(n, R)` of sets `values[path] (n,)` on each recording."""

@@ -261,6 +261,7 @@ class _Search:
             except BaseException as error:
                 ready.set_exception(error)
 
+        self.judged.trace()  # alone: two threads that trace at once take longer than one after the other
         Thread(target=compile_it).start()  # no daemon: the compiler must not run on while Python ends
         self.judged.compile()
 
