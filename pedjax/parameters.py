@@ -142,6 +142,32 @@ def _extended(base: type[P], new: Mapping[str, tuple[type, Any]], name: str, abo
     return parameters(type(name, (base,), {"__annotations__": annotations, "__doc__": about, **own}))
 
 
+def redefined(cls: type[P], values: Mapping[str, tuple[Any, str]]) -> type[P]:
+    """The class with other defaults: dotted path to value and source. A path that it has not is an
+    `InputError`."""
+    new: dict[str, tuple[type, Any]] = {}
+    below: dict[str, dict[str, tuple[Any, str]]] = {}
+    for path, (value, source) in values.items():
+        name, _, rest = path.partition(".")
+        field = cls.__dataclass_fields__.get(name)  # type: ignore[attr-defined]
+        if field is None or ("group" in field.metadata) != bool(rest):
+            raise InputError(f"{cls.__name__} has no '{path}' to give another default")
+        if rest:
+            below.setdefault(name, {})[rest] = (value, source)
+            continue
+        about = dict(field.metadata)
+        key = "spec" if "spec" in about else "choice"
+        about[key] = dataclasses.replace(about[key], source=source)
+        if key == "spec" and not about[key].low <= value <= about[key].high:
+            raise ValueError(f"default {value} of '{path}' is not within its bounds")
+        new[name] = (field.type, dataclasses.field(default=value, metadata=about))
+    for name, own in below.items():
+        field = cls.__dataclass_fields__[name]  # type: ignore[attr-defined]
+        kind = redefined(field.default_factory, own)
+        new[name] = (kind, group(kind, when=field.metadata["when"]))
+    return _extended(cls, new, cls.__name__, cls.__doc__)
+
+
 _OFFERED: dict[type, type] = {}  # a class of parameters to its latest extension
 
 

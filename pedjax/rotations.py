@@ -128,9 +128,21 @@ def tilt(force: Array) -> tuple[Array, Array]:
     return jnp.arctan2(force[1], force[2] + 1e-15), jnp.arctan2(-force[0], level)
 
 
-def level(roll: Array, pitch: Array, vector: Array) -> Array:
-    """A vector `(3, *L)` of a body with that roll and pitch, in axes of which z is up and x ahead."""
-    return matvec(from_euler(roll, pitch, jnp.zeros_like(roll)), vector)
+def level_axes(up: Array, ahead: int = 0) -> tuple[Array, Array, Array]:
+    """The axes x, y, z `(3, *L)` of a level frame, seen by a body in which `up (3, *L)`, of any length,
+    points up: z is up, and x the level direction of the body axis `ahead` (0, 1, 2), which must not be
+    upright itself. With axis 0 they are the rows of Ry(pitch) Rx(roll).
+    """
+    z = _unit(up)
+    x = _unit(constant(np.eye(3)[ahead], up[0]) - z[ahead] * z)
+    return x, matvec(skew(z), x), z
+
+
+def _unit(x: Array) -> Array:
+    """x over its length; with a finite slope, and itself, where it has none."""
+    square = dot(x, x)
+    some = square > 1e-12
+    return x / jnp.sqrt(jnp.where(some, square, 1.0))
 
 
 def levelled(force: Array, heading: Array) -> Array:

@@ -251,6 +251,29 @@ def test_a_grown_class_has_further_groups_behind_its_own():
     assert float(doubled.other.inner.plain) == 4.0
 
 
+def test_other_defaults_have_their_own_source():
+    given = {"inner.plain": (2.0, "mine"), "inner.own": ("y", "mine, too"), "first": (3.0, "third")}
+    Other = parameters.redefined(Tree, given)
+    made = Other()
+    assert isinstance(made, Tree)
+    assert isinstance(made.inner, Inner)
+    assert (made.inner.plain, made.inner.own, made.first, made.guarded.plain) == (2.0, "y", 3.0, 1.0)
+    assert list(parameters.values(made)) == list(parameters.values(Tree()))
+    about = parameters.specs(made)["inner.plain"]
+    assert (about.source, about.unit, about.tune) == ("mine", "1", True)
+    assert parameters.choices(made)["inner.own"].source == "mine, too"
+    assert parameters.idle_because(made, "inner.deep") == "mode is 'near'"
+    assert parameters.groups_of(made, Inner) == parameters.groups_of(Tree(), Inner)
+    doubled = jax.jit(lambda tree: jax.tree.map(lambda x: 2 * x, tree))(made)
+    assert float(doubled.inner.plain) == 4.0
+
+
+@pytest.mark.parametrize("path", ["none", "inner", "inner.none", "first.deeper"])
+def test_another_default_needs_a_leaf_or_setting(path):
+    with pytest.raises(InputError, match=r"has no '.*' to give another default"):
+        parameters.redefined(Tree, {path: (1.0, "mine")})
+
+
 @parameters.parameters
 class First:
     threshold: Array = number(tune=True, point=True)

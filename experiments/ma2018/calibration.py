@@ -3,11 +3,13 @@
     python -m experiments.ma2018 calibration
 
 The distortion is the one that the paper found: simulated walks round its loop, and free turning in a field of
-480 mGs.
+480 mGs. Then what it is for: an office walked with that iron on the shoe, uncalibrated, calibrated by a loop
+walked before, and without iron.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -18,13 +20,19 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import pedjax
+from experiments.ma2018 import presets
 from experiments.ma2018.table import Row, row
 from pedjax.calibration import ellipsoid, fitting, planar
+from pedjax.filters.compass import calibrated_by
 from pedjax.output import write_figure
 from pedjax.runtime import double_precision
+from pedjax.simulation.scenarios import load_scenario
+from pedjax.simulation.world import simulate
 
 MGS = 0.1  # µT
 OFFSET, ETA, TAU = np.array([137.95, 75.26]), 0.973, 0.896  # Table 1: mGs, rad, ratio of the axes
+LOOPS = 40
+"""Fewest calibration loops for Table 1."""
 AXIS = np.array([np.cos(ETA), np.sin(ETA)])
 DISTORTION = np.eye(2) + (1 / TAU - 1) * np.outer(AXIS, AXIS)
 
@@ -41,7 +49,8 @@ def loops(seeds: range) -> list[fitting.Loop]:
 
 
 def table_one_planar(walked: list[fitting.Loop]) -> list[Row]:
-    """Ma's parameters of the levelled field, found again from walked loops with exactly that distortion."""
+    """Ma's parameters of the levelled field, found again from walked loops with exactly that distortion. Met
+    where nine of ten loops are within."""
     rows = []
     published = "offset (137.95, 75.26) mGs, 0.973 rad, 0.896"
     for method in ("lsq", "minmax"):
@@ -53,14 +62,17 @@ def table_one_planar(walked: list[fitting.Loop]) -> list[Row]:
         turned = np.degrees([abs(_half(float(f.eta) - ETA)) for f in fits])
         ratio = np.array([abs(float(f.tau) - TAU) for f in fits])
         within = (away < 4) & (turned < 3) & (ratio < 0.03)
-        told = f"off by {np.median(away):.1f} mGs, {np.median(turned):.1f} deg, {np.median(ratio):.3f}"
-        met = bool(np.median(away) < 4 and np.median(turned) < 3 and np.median(ratio) < 0.03)
+        told = ", ".join(
+            f"{np.median(x):.3g} ({np.percentile(x, 90):.3g}) {unit}"
+            for x, unit in ((away, "mGs"), (turned, "deg"), (ratio, ""))
+        )
+        met = bool(within.mean() >= 0.9)
         rows.append(
             row(
                 "T1",
-                f"loop, {method}: median of {len(fits)} seeds",
+                f"loop, {method}: off by, median (9 of 10), {len(fits)} loops",
                 published,
-                f"{told}; {within.mean():.0%} within",
+                f"{told}; within 4 mGs, 3 deg, .03: {within.mean():.0%}",
                 met,
             )
         )
@@ -116,18 +128,28 @@ def _planes(raw: np.ndarray) -> Figure:
 
 
 def figure_seven(walked: list[fitting.Loop], axes: Axes) -> list[Row]:
-    """Heading after calibration against the gyroscope's, floor and shoe acting in stance only."""
+    """Heading after calibration against the gyroscope's: by the walked loop, and by CLSEF from free turning,
+    which knows the sensor's own distortion but neither floor nor shoe, which act in stance only."""
     worst: dict[str, list[float]] = {"2-D": [], "free turning": []}
     shoe = np.array([[1.0, 0.05], [0.05, 0.92]])
+    sensor, centre = np.eye(3), MGS * np.append(OFFSET, 0.0)
+    sensor[:2, :2] = DISTORTION
     with double_precision():
-        for loop in walked:
-            flat = loop.points[:, :2]
-            exact = (flat - MGS * OFFSET) @ np.linalg.inv(DISTORTION).T  # by an exact free calibration
-            disturbed = exact @ shoe.T + [1.5, -1.0]
-            made = planar.lsq(jnp.asarray(disturbed))
+        clsef = jax.jit(ellipsoid.FITS["clsef"])
+        for number, loop in enumerate(walked):
+            rng = np.random.default_rng([47, number])
+            u = rng.normal(size=(500, 3))
+            free = 480 * MGS * u / np.linalg.norm(u, axis=1, keepdims=True)
+            turned = free @ sensor.T + centre + rng.normal(0.0, 4 * MGS, free.shape)
+            fit = clsef(jnp.asarray(turned))
+            inverse = np.asarray(ellipsoid.factor(fit, jnp.asarray(480.0 * MGS)))
+            flat = (loop.points[:, :2] - MGS * OFFSET) @ np.linalg.inv(DISTORTION).T
+            in_stance = np.column_stack([flat @ shoe.T + [1.5, -1.0], loop.points[:, 2]])
+            read = in_stance @ sensor.T + centre
+            made = planar.lsq(jnp.asarray(read[:, :2]))
             for name, m in (
-                ("2-D", (disturbed - np.asarray(made.offset)) @ np.asarray(made.matrix).T),
-                ("free turning", disturbed),
+                ("2-D", (read[:, :2] - np.asarray(made.offset)) @ np.asarray(made.matrix).T),
+                ("free turning", (read - np.asarray(fit.centre)) @ inverse.T),
             ):
                 heading = -np.unwrap(np.arctan2(m[:, 1], m[:, 0]))
                 apart = np.degrees(heading - loop.turn)
@@ -153,14 +175,45 @@ def figure_seven(walked: list[fitting.Loop], axes: Axes) -> list[Row]:
     ]
 
 
+IRON = {
+    "hard": [*(MGS * OFFSET), -5.0],
+    "soft": np.block([[DISTORTION, np.zeros((2, 1))], [np.zeros((1, 2)), np.ones((1, 1))]]).tolist(),
+}
+"""The published distortion, of the whole magnetometer in body axes."""
+
+
+def calibrate_then_walk(seeds: range) -> list[Row]:
+    """The paper's order: a calibration loop outdoors, then the office, with the same iron on the shoe."""
+    office, outdoors = (load_scenario(name) for name in ("office-loop", "calibration-loop"))
+    means: dict[str, list[float]] = {"uncalibrated": [], "lsq": [], "no iron": []}
+    for seed in tqdm(seeds, "calibrate, then walk"):
+        loop = simulate(replace(outdoors, iron=IRON), seed).recording
+        fit = fitting.fit_loop(loop.name, fitting.walk_loop(pedjax.inertial(loop)))
+        params = presets.params_of("ma2018")
+        with_iron = simulate(replace(office, iron=IRON), seed).recording
+        for name, recording, changes in (
+            ("uncalibrated", with_iron, {}),
+            ("lsq", with_iron, calibrated_by(params, fit.calibration)),
+            ("no iron", simulate(office, seed).recording, {}),
+        ):
+            track = presets.run(recording, "ma2018", changes)
+            means[name].append(presets.score(track, recording).mean_2d_m)
+    told = ", ".join(
+        f"{name} {np.mean(x):.2f} ({np.min(x):.2f} to {np.max(x):.2f}) m" for name, x in means.items()
+    )
+    met = np.mean(means["lsq"]) < 0.3 * np.mean(means["uncalibrated"])
+    return [row("C", f"calibrate, then walk the office: {len(seeds)} walks", "-", told, bool(met))]
+
+
 def run(seeds: range, out: Path) -> list[Row]:
     """All rows, and the pictures."""
     figure = Figure(figsize=(8, 4), layout="constrained")
-    walked = loops(seeds)
+    walked = loops(range(seeds.start, seeds.start + max(len(seeds), LOOPS)))
     rows = [
         *table_one_planar(walked),
         *table_one_clsef(range(seeds.start, seeds.start + 50), out),
         *figure_seven(walked, figure.subplots()),
+        *calibrate_then_walk(seeds),
     ]
     write_figure(out / "figure_7.png", figure)
     return rows

@@ -22,7 +22,7 @@ from pedjax.errors import InputError
 from pedjax.filters import covariance, kalman
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Filter, Opening, Sample
-from pedjax.parameters import grown, latest
+from pedjax.parameters import grown, latest, redefined
 from pedjax.system import Gated, Inputs, Need, Output, Signals, Status, System
 
 
@@ -41,8 +41,16 @@ class AidedState(NamedTuple):
     aids: dict[str, Any]
 
 
-def aided(name: str, filter: Filter, aids: Sequence[Aid], title: str = "", role: str = "foot") -> System:
-    """The system `name`: that filter with those aids, in that order, on the sensor of that role.
+def aided(
+    name: str,
+    filter: Filter,
+    aids: Sequence[Aid],
+    title: str = "",
+    role: str = "foot",
+    values: Mapping[str, tuple[Any, str]] | None = None,
+) -> System:
+    """The system `name`: that filter with those aids, in that order, on the sensor of that role. `values` are
+    its own defaults where they differ from those of its parts: dotted path to value and source.
 
     An aid that reads a gate which none before it has, two of one name, or a group of parameters that two
     aids define differently, is an `InputError`.
@@ -51,6 +59,7 @@ def aided(name: str, filter: Filter, aids: Sequence[Aid], title: str = "", role:
     _check(name, aids)
     _check_names(name, filter, aids)
     _groups_of(name, aids)
+    own_values = tuple((values or {}).items())
     magnetic = any(aid.field for aid in aids)
 
     def prepare(
@@ -114,7 +123,7 @@ def aided(name: str, filter: Filter, aids: Sequence[Aid], title: str = "", role:
         title=title or f"{filter.name} filter with {', '.join(aid.name.replace('_', ' ') for aid in aids)}",
         needs=(Need(role, magnetic),),
         gates=tuple(aid.gate for aid in aids if aid.gate is not None),
-        defaults=lambda: _parameters(name, filter.parameters, _groups_of(name, aids))(),
+        defaults=lambda: _parameters(name, filter.parameters, _groups_of(name, aids), own_values)(),
         prepare=prepare,
         start=start,
         step=step,
@@ -144,9 +153,15 @@ def _check_names(name: str, filter: Filter, aids: Sequence[Aid]) -> None:
 
 
 @cache  # one class for one system: another would compile another program
-def _parameters(name: str, base: type, groups: tuple[tuple[str, type], ...]) -> type:
+def _parameters(
+    name: str,
+    base: type,
+    groups: tuple[tuple[str, type], ...],
+    values: tuple[tuple[str, tuple[Any, str]], ...],
+) -> type:
     camel = "".join(part.capitalize() for part in name.replace("-", "_").split("_"))
-    return grown(base, dict(groups), f"{camel}Parameters", f"All parameters of {name}.")
+    made: type = grown(base, dict(groups), f"{camel}Parameters", f"All parameters of {name}.")
+    return redefined(made, dict(values)) if values else made
 
 
 def _check(name: str, aids: Sequence[Aid]) -> None:

@@ -15,11 +15,14 @@ from pedjax.output import plain, write_toml
 from pedjax.tables import loaded
 
 _SHAPES = {"hard_iron": (3,), "matrix": (3, 3), "level_offset": (2,), "level_matrix": (2, 2)}
+_AHEAD = "level_ahead"
+_AXES = "xyz"
 _TOLD = ("method", "reason", "source", "sensor", "recorded", "field_ut", "warnings", "diagnostics")
 
 _HEADING = """magnetometer calibration, in microtesla
 body axes: m = matrix (raw - hard_iron)
-levelled:  m = level_matrix (m - level_offset), of the horizontal field in stance"""
+levelled:  m = level_matrix (m - level_offset), of the horizontal field in stance; its x is the level
+           direction of the body axis level_ahead"""
 
 
 def write(
@@ -30,6 +33,7 @@ def write(
     told: dict[str, Any] = {
         name: np.asarray(getattr(fit.calibration, name), float).tolist() for name in _SHAPES
     }
+    told |= {_AHEAD: _AXES[fit.calibration.level_ahead]}
     told |= {"field_ut": fit.strength, "method": fit.method, "reason": fit.reason, "source": source}
     told |= {key: value for key, value in (("sensor", sensor), ("recorded", recorded)) if value}
     if fit.warnings:
@@ -43,15 +47,18 @@ def read(path: str | PathLike[str]) -> Calibration:
     path = Path(path)
     raw = loaded(path, f"{path}: there is no such calibration file; make one with pedjax calibrate")
     for key in raw:
-        if key not in (*_SHAPES, *_TOLD):
-            raise InputError(f"{path}: key '{key}' is unknown{suggest(key, (*_SHAPES, *_TOLD))}")
+        if key not in (*_SHAPES, _AHEAD, *_TOLD):
+            raise InputError(f"{path}: key '{key}' is unknown{suggest(key, (*_SHAPES, _AHEAD, *_TOLD))}")
     if not set(raw) & set(_SHAPES):
         raise InputError(
             f"{path}: it holds no calibration; hard_iron and matrix are needed, or the level ones"
         )
     start = uncalibrated()._asdict()
     values = {n: _array(path, n, raw[n]) if n in raw else np.asarray(start[n], float) for n in _SHAPES}
-    return Calibration(**cast(Any, values))
+    ahead = raw.get(_AHEAD, "x")
+    if ahead not in tuple(_AXES):
+        raise InputError(f"{path}: {_AHEAD} must be x, y or z, a body axis; it is {ahead!r}")
+    return Calibration(**cast(Any, values), level_ahead=_AXES.index(ahead))
 
 
 def _array(path: Path, name: str, value: Any) -> np.ndarray:

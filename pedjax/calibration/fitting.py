@@ -33,6 +33,7 @@ QUIET_S = 3.0  # at rest that an alignment needs
 WIDEST_SIGMA = 1.0  # deg of the alignment, beyond which it is not applied
 MERGE_S, DROP_S = 0.12, 0.15  # a stance is one: gaps in it are merged, and what is shorter is none
 _WHOLE_TURNS = np.deg2rad(45.0)
+UPRIGHT = 0.8  # of the force along x: beyond it y is taken for the axis ahead
 
 
 @dataclass(frozen=True)
@@ -52,10 +53,12 @@ class Fit:
 @dataclass(frozen=True)
 class Loop:
     """Stances of a walk: `points (K, 3)` µT, the levelled field of each, `turn (K,)` rad the yaw of the
-    gyroscope at each from the first on."""
+    gyroscope at each from the first on, and the body axis `ahead` (0, 1, 2) whose level direction is the
+    points' x."""
 
     points: np.ndarray
     turn: np.ndarray
+    ahead: int = 0
 
 
 _FITS = {name: jax.jit(fit) for name, fit in ellipsoid.FITS.items()}
@@ -195,9 +198,11 @@ def _aligned(
     return np.eye(3), [line], said
 
 
-@partial(jax.jit, static_argnames=("count",))
-def _stances(force: jax.Array, mag: jax.Array, ids: jax.Array, count: int) -> tuple[jax.Array, jax.Array]:
-    values = jnp.concatenate([levelling.level(force, mag), force], axis=-1)
+@partial(jax.jit, static_argnames=("count", "ahead"))
+def _stances(
+    force: jax.Array, mag: jax.Array, ids: jax.Array, count: int, ahead: int
+) -> tuple[jax.Array, jax.Array]:
+    values = jnp.concatenate([levelling.level(force, mag, ahead), force], axis=-1)
     means, _ = levelling.stance_means(values, jnp.ones_like(force[:, 0]), ids, count)
     return means[:, :3], means[:, 3:]
 
@@ -219,17 +224,18 @@ def walk_loop(imu: Inertial, base: Calibration | None = None, threshold: float |
     if count < 1:
         return Loop(np.zeros((0, 3)), np.zeros(0))
     mag = apply(base or uncalibrated(), imu.magnetic_field)
-    points, up = _numpy(_stances(force, mag, jnp.asarray(ids), bucket(count)))
+    standing = np.asarray(force)[ids >= 0].mean(axis=0)
+    ahead = int(abs(standing[0]) > UPRIGHT * np.linalg.norm(standing))
+    points, up = _numpy(_stances(force, mag, jnp.asarray(ids), bucket(count), ahead))
     onset = np.searchsorted(np.maximum.accumulate(ids), np.arange(count))
     seen = np.isfinite(points[:count]).all(axis=1)  # not where the magnetometer has no readings
-    return Loop(points[:count][seen], _turn(imu, onset, up[:count])[seen])
+    return Loop(points[:count][seen], _turn(imu, onset, up[:count], ahead)[seen], ahead)
 
 
-def _turn(imu: Inertial, at: np.ndarray, up: np.ndarray) -> np.ndarray:
+def _turn(imu: Inertial, at: np.ndarray, up: np.ndarray, ahead: int) -> np.ndarray:
     """Yaw `(K,)` rad by the gyroscope since the first of the samples `at (K,)`, where the specific force is
     `up (K, 3)`: levelled anew at each, so that only yaw adds up."""
-    roll, pitch = levelling.roll_pitch(jnp.asarray(up))
-    level = np.moveaxis(np.asarray(rotations.from_euler(roll, pitch, jnp.zeros_like(roll))), -1, 0)
+    level = np.stack([np.asarray(axis).T for axis in rotations.level_axes(jnp.asarray(up).T, ahead)], axis=1)
     turns = np.moveaxis(np.asarray(rotations.exp(jnp.asarray((imu.angular_rate * imu.dt[:, None]).T))), -1, 0)
     yaw = np.zeros(len(at))
     for k in range(1, len(at)):
@@ -260,7 +266,9 @@ def fit_loop(
     scale = 1.0 if strength is None else strength / float(found.radius)
     radius = float(found.radius) * scale
     base = _numpy(base or uncalibrated())
-    calibration = base._replace(level_offset=found.offset, level_matrix=scale * found.matrix)
+    calibration = base._replace(
+        level_offset=found.offset, level_matrix=scale * found.matrix, level_ahead=loop.ahead
+    )
     corrected = (points - found.offset) @ calibration.level_matrix.T
     whole = float(loop.turn[-1] - loop.turn[0])
     away = abs(whole - 2 * np.pi * round(whole / (2 * np.pi)))

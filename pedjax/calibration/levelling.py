@@ -1,6 +1,6 @@
 """The field of a levelled body. Body forward-left-up, navigation ENU.
 
-With roll and pitch from specific force f at rest (up),
+With the body's x ahead, roll and pitch from specific force f at rest (up),
 
     m_x' = m_x cos p + m_y sin p sin r + m_z sin p cos r
     m_y' = m_y cos r - m_z sin r
@@ -18,6 +18,7 @@ from jax import Array
 
 from pedjax import rotations
 from pedjax.calibration.algebra import angle, norm
+from pedjax.lanes import dot
 
 
 def roll_pitch(force: Array) -> tuple[Array, Array]:
@@ -29,10 +30,11 @@ def roll_pitch(force: Array) -> tuple[Array, Array]:
     return angle(force[..., 1], force[..., 2]), angle(-force[..., 0], norm(force[..., 1:]))
 
 
-def level(force: Array, mag: Array) -> Array:
-    """The field `mag (..., 3)` of a body at rest, turned by its roll and pitch: `(..., 3)`, z up."""
-    roll, pitch = roll_pitch(force)
-    return jnp.moveaxis(rotations.level(roll, pitch, jnp.moveaxis(mag, -1, 0)), 0, -1)
+def level(force: Array, mag: Array, ahead: int = 0) -> Array:
+    """The field `mag (..., 3)` of a body at rest in level axes `(..., 3)`: z up, x the level direction of the
+    body axis `ahead`, which must not be upright."""
+    axes = rotations.level_axes(jnp.moveaxis(force, -1, 0), ahead)
+    return jnp.stack([dot(axis, jnp.moveaxis(mag, -1, 0)) for axis in axes], axis=-1)
 
 
 def stance_means(values: Array, weights: Array, stances: Array, count: int) -> tuple[Array, Array]:

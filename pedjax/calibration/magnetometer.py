@@ -20,12 +20,14 @@ from pedjax.lanes import add
 
 class Calibration(NamedTuple):
     """`hard_iron (3,)` µT and `matrix (3, 3)` in body axes; `level_offset (2,)` µT and
-    `level_matrix (2, 2)` for the horizontal field of the levelled body."""
+    `level_matrix (2, 2)` for the horizontal field of the levelled body, whose x is the level direction of the
+    body axis `level_ahead` (0, 1, 2)."""
 
     hard_iron: Array
     matrix: Array
     level_offset: Array
     level_matrix: Array
+    level_ahead: int = 0
 
 
 def uncalibrated() -> Calibration:

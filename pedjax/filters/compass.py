@@ -2,6 +2,16 @@
 
 A foot looks once in each stance, when it has stood for a moment (or, as an option, at every still sample),
 and keeps the last N + 1 looks. Everything is causal, and a state of fixed size.
+
+The field is levelled by the least rotation that turns what should be up, the specific force or the attitude's
+own up, to where it is: no Euler angle is taken, so that no mounting is special. Levelled by the force, an
+error t of the attitude is left with its part about up alone, and the row of the heading is [0, 0, 1]. (Ma's
+Eq. 38, [tan θ cos ψ, tan θ sin ψ, 1], is the row of the Euler yaw, which a tilt changes, too.)
+
+The force is taken as measured (Ma 2018, Eq. 3-5), without the filter's bias of the accelerometer: zero
+velocities, told as more certain than they are while a foot begins to lift, drive that bias to 0.1 m/s² and
+more, which in a steep field is degrees of heading. And the first moments of a stance are left out: the jolt
+of landing tilts the force by some degrees.
 """
 
 from __future__ import annotations
@@ -16,20 +26,24 @@ from pedjax import rotations
 from pedjax.calibration.magnetometer import Calibration, corrected
 from pedjax.detectors.clock import StanceClock, started, tick
 from pedjax.detectors.field import Look, Window, inclination
-from pedjax.filters.measurements import yaw_row
-from pedjax.filters.strapdown import Navigation
 from pedjax.lanes import constant, dot, matvec
 from pedjax.parameters import groups_of, leaf, parameters, setting
 
 _KIT = "kit choice"
 _MA = "Ma 2018"
 _DEGREE = 0.017453292519943295
+AXES = ("x", "y", "z")
 
 
 @parameters
 class Level:
     """Calibration of the levelled field by a walked loop (Ma 2018, Eq. 6-12): W (m − o), W symmetric."""
 
+    ahead: str = setting(
+        "x", choices=AXES, source=f"{_KIT}: x",
+        meaning="Body axis whose level direction is the x of the levelled field; any that does not point up "
+        "or down.",
+    )  # fmt: skip
     offset_x: Array = leaf(
         0.0, unit="uT", low=-200.0, high=200.0, scale="linear", source="0: calibrated",
         meaning="Offset along x, subtracted from the levelled field.",
@@ -112,7 +126,7 @@ def in_body(p: Body, mag: Array) -> Array:
     return jnp.stack(corrected((mag[0], mag[1], mag[2]), (p.hard_x, p.hard_y, p.hard_z), rows))
 
 
-def calibrated_by(params: Any, calibration: Calibration) -> dict[str, float]:
+def calibrated_by(params: Any, calibration: Calibration) -> dict[str, Any]:
     """A calibration as parameters: paths to values, for every group of a tree that is one; empty where none
     is."""
     hard, matrix = np.asarray(calibration.hard_iron, float), np.asarray(calibration.matrix, float)
@@ -120,8 +134,9 @@ def calibrated_by(params: Any, calibration: Calibration) -> dict[str, float]:
     axes = "xyz"
     body = {f"hard_{a}": float(hard[i]) for i, a in enumerate(axes)}
     body |= {f"{a}{b}": float(matrix[i, j]) for i, a in enumerate(axes) for j, b in enumerate(axes)}
-    flat = {"offset_x": float(offset[0]), "offset_y": float(offset[1])}
+    flat: dict[str, Any] = {"offset_x": float(offset[0]), "offset_y": float(offset[1])}
     flat |= {"xx": float(level[0, 0]), "xy": float(level[0, 1]), "yy": float(level[1, 1])}
+    flat |= {"ahead": AXES[calibration.level_ahead]}
     return {
         f"{path}.{name}": value
         for kind, values in ((Body, body), (Level, flat))
@@ -139,10 +154,15 @@ class Looking:
         meaning="Whether the field is looked at once in each step, while the foot stands, or at every "
         "still sample.",
     )  # fmt: skip
+    settle_s: float = setting(
+        0.06, source=f"{_KIT}: the jolt of landing",
+        meaning="First part of a stance, which its look leaves out; longer, less of the landing's jolt tilts "
+        "the field, but short stances have no look.",
+    )  # fmt: skip
     dwell_s: float = setting(
-        0.12, source=f"{_KIT}: stillness in a stance before its look",
-        meaning="How long the foot must stand before its look; longer, more readings are averaged, but "
-        "short stances have none.",
+        0.06, source=f"{_KIT}: stillness that a look averages",
+        meaning="How long the foot must stand after that before its look; longer, more readings are "
+        "averaged, but short stances have none.",
     )  # fmt: skip
     gap_s: float = setting(
         0.15, source=f"{_KIT}: movement that ends a stance",
@@ -151,64 +171,78 @@ class Looking:
     )  # fmt: skip
     levelling: str = setting(
         "force", choices=("force", "attitude"), source=f"{_MA}: Eq. 3-5; attitude: kit",
-        meaning="What levels the field for a heading: roll and pitch of the accelerometer, or the "
-        "filter's attitude.",
+        meaning="What levels the field for a heading: the specific force as measured, or the filter's "
+        "attitude.",
     )  # fmt: skip
 
 
 class Looks(NamedTuple):
-    """What is remembered: the `total (3, *L)` µT s of the field in this stance so far, the `clock` of
-    stances, the last looks in `window`, and how `many` there are."""
+    """What is remembered: the `total (3, *L)` µT s of the field in this stance so far, and the `seconds (*L)`
+    of it that count, the `clock` of stances, the last looks in `window`, how `many` there are, and the
+    `first` attitude `(3, 3, *L)`, from which yaw is counted."""
 
     total: Array
+    seconds: Array
     clock: StanceClock
     window: Window
     many: Array
+    first: Array
 
 
-def first(like: Array, steps: int) -> Looks:
-    """Nothing seen yet; `like (*L)` is zeros."""
-    none = Look(jnp.zeros((3, *like.shape), like.dtype), like, like)
-    return Looks(none.field, started(like), (none,) * (steps + 1), like)
+def first(attitude: Array, steps: int) -> Looks:
+    """Nothing seen yet, by a foot of that `attitude (3, 3, *L)`."""
+    like = jnp.zeros_like(attitude[0, 0])
+    none = Look(jnp.zeros_like(attitude[0]), like, like)
+    return Looks(none.field, like, started(like), (none,) * (steps + 1), like, attitude)
 
 
-def levelled(nav: Navigation, force: Array, mag: Array, level: Level, how: str) -> Array:
-    """The field `(3, *L)` in navigation axes: turned by the attitude, or by roll and pitch of the specific
-    force and the attitude's yaw; with the levelled calibration in between."""
-    yaw = rotations.to_euler(nav.attitude)[2]
-    c, s = jnp.cos(yaw), jnp.sin(yaw)
-    if how == "force":
-        flat = rotations.level(*rotations.tilt(force), mag)
-    else:
-        whole = matvec(nav.attitude, mag)
-        flat = jnp.stack([c * whole[0] + s * whole[1], c * whole[1] - s * whole[0], whole[2]])
+def levelled(attitude: Array, up: Array, mag: Array, level: Level) -> Array:
+    """The field `mag (3, *L)` of a body in navigation axes: turned by its `attitude (3, 3, *L)` and then by
+    the least rotation that makes what it takes for `up (3, *L)`, of any length, vertical; with the levelled
+    calibration in between. In navigation axes `up` must not point down."""
+    x, y, z = rotations.level_axes(up, AXES.index(level.ahead))
     rows = ((level.xx, level.xy), (level.xy, level.yy))
-    x, y = corrected((flat[0], flat[1]), (level.offset_x, level.offset_y), rows)
-    return jnp.stack([c * x - s * y, s * x + c * y, flat[2] + 0 * x])
+    ahead, left = corrected((dot(x, mag), dot(y, mag)), (level.offset_x, level.offset_y), rows)
+    vertical = constant(np.array([0.0, 0.0, 1.0]), mag[0])
+    leaning = matvec(attitude, z)
+    bend = (leaning + vertical) / jnp.maximum(1 + leaning[2], 1e-6)
+    x, y = matvec(attitude, x), matvec(attitude, y)
+    return ahead * (x - x[2] * bend) + left * (y - y[2] * bend) + dot(z, mag) * vertical
 
 
 def look(
-    p: Looking, level: Level, state: Looks, nav: Navigation, force: Array, mag: Array, dt: Array, still: Array
+    p: Looking, level: Level, state: Looks, attitude: Array, force: Array, mag: Array, dt: Array, still: Array
 ) -> tuple[Looks, Array]:
     """Gather the field while the foot is `still (*L)`; returns the state and whether it looked just now
-    `(*L)`, 0 or 1."""
-    here = levelled(nav, force, mag, level, p.levelling)
-    clock, (over, now) = tick(state.clock, still, dt, p.dwell_s, p.gap_s, always=p.per == "sample")
-    total = jnp.where(over, 0.0, state.total) + still * dt * here
-    mean = total / jnp.maximum(clock.seconds, 1e-6)
-    seen = Look(mean, rotations.to_euler(nav.attitude)[2], clock.time)
+    `(*L)`, 0 or 1. `force (3, *L)` is what the accelerometer reads."""
+    always = p.per == "sample"
+    here = levelled(attitude, force if p.levelling == "force" else attitude[2], mag, level)
+    clock, (over, now) = tick(state.clock, still, dt, p.settle_s + p.dwell_s, p.gap_s, always)
+    settled = clock.seconds + 0.5 * dt >= p.settle_s
+    now = jnp.where(settled, now, 0.0)
+    part = jnp.where(settled, still * dt, 0.0)
+    total = jnp.where(over, 0.0, state.total) + part * here
+    seconds = jnp.where(over, 0.0, state.seconds) + part
+    seen = Look(total / jnp.maximum(seconds, 1e-6), _yaw(attitude, state.first), clock.time)
     shifted = (*state.window[1:], seen)
     window = tuple(
         Look(*(jnp.where(now > 0, new, old) for new, old in zip(a, b, strict=True)))
         for a, b in zip(shifted, state.window, strict=True)
     )
-    return Looks(total, clock, window, state.many + now), now
+    return Looks(total, seconds, clock, window, state.many + now, state.first), now
 
 
-def turned(state: Looks, correction: Array, attitude: Array, how: str) -> Looks:
+def _yaw(attitude: Array, first: Array) -> Array:
+    """The turn about up `(*L)` rad from one attitude to another: twist, which has no gimbal."""
+    across = dot(attitude[1], first[0]) - dot(attitude[0], first[1])
+    along = dot(attitude[0], first[0]) + dot(attitude[1], first[1])
+    return jnp.arctan2(across, along + 1e-12)
+
+
+def turned(state: Looks, correction: Array, how: str) -> Looks:
     """The same looks seen with an attitude corrected by `correction (3, *L)` rad, so that the next change is
     the gyroscope's alone. What was levelled by the force turns about up only."""
-    yaw = jnp.sum(yaw_row(attitude)[0] * correction, axis=0)
+    yaw = correction[2]
     if how == "force":
         correction = yaw * constant(np.array([0.0, 0.0, 1.0]), yaw)
     turn = rotations.exp(correction)
@@ -255,6 +289,16 @@ def heading_sigma(p: HeadingNoise, field: Array, reference: Array) -> Array:
     odd = (jnp.sqrt(size) / reference[0] - 1) ** 2 + (inclination(field) - reference[1]) ** 2
     square = p.floor**2 + p.field**2 / level + steep * p.tilt**2 + p.oddity**2 * odd
     return jnp.sqrt(square)
+
+
+def start_variance(field: Array, reference: Array, tilt: Array, unrest: Array) -> Array:
+    """Variance `(*L)` rad² of the first heading, as far as the start shows it: by the variance of its `tilt`
+    in rad², the readings' `unrest` in µT² along each axis, and the disturbance. Of a disturbance strength and
+    inclination tell two components; the third, across, which turns the heading, is taken to be as large."""
+    level = field[0] ** 2 + field[1] ** 2 + 1e-6
+    size = level + field[2] ** 2
+    odd = (jnp.sqrt(size) - reference[0]) ** 2 + size * (inclination(field) - reference[1]) ** 2
+    return (tilt * field[2] ** 2 + unrest + 0.5 * odd) / level
 
 
 def offset_variance(attitude: Array, field: Array, covariance: Array) -> Array:

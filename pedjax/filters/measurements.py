@@ -26,14 +26,6 @@ def zero_angular_rate(nav: Navigation, measured_rate: Array, sigma: Array) -> Ro
     return Rows(innovation, sigma * sigma * eye(3, innovation[0]), {"g": None})
 
 
-def yaw_row(attitude: Array) -> Array:
-    """h `(1, 3, *L)` with δyaw = h · t for the attitude error t in navigation axes: [tan(pitch) cos(yaw),
-    tan(pitch) sin(yaw), 1]; finite (and meaningless) at gimbal lock."""
-    level = attitude[0, 0] ** 2 + attitude[1, 0] ** 2 + 1e-9
-    x, y = (-attitude[2, 0] * attitude[k, 0] / level for k in range(2))
-    return jnp.stack([x, y, jnp.ones_like(x)])[None]
-
-
 def azimuth_row(field: Array) -> Array:
     """h `(1, 3, *L)` with δazimuth = h · t of a field `(3, *L)` that the attitude turned into navigation
     axes: [−B_z B_x/H², −B_z B_y/H², 1]. A tilt error tells on it by the field's inclination."""

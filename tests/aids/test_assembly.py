@@ -16,6 +16,7 @@ from pedjax.lanes import eye
 from pedjax.parameters import leaf
 from pedjax.system import Gated, Need, Signals
 from pedjax.systems import SYSTEMS
+from pedjax.systems.ma2018 import VALUES
 from tests import tools
 
 IEZ, MA = SYSTEMS["iez"], SYSTEMS["ma2018"]
@@ -169,7 +170,8 @@ LOOSE = {"field.ma.threshold": 170.0, "initial.attitude": 0.02, "initial.gyrosco
 def test_a_combination_of_ones_own_is_ma2018_with_the_rest_off(demos, which):
     aids = SUBSETS[which]
     made = aided("made", INERTIAL, aids)
-    changes = switches(aids) | LOOSE
+    own = {path: value for path, (value, _) in VALUES.items()}
+    changes = switches(aids) | LOOSE | own
     tracks = [pedjax.run(demos[2], s, parameters.replace(s.defaults(), changes)) for s in (made, MA)]
     ours, theirs = tracks
     assert ours.healthy

@@ -182,18 +182,26 @@ def vector(
     return trailing(field, yaw, time, N, one), largest
 
 
-def yaw_of(C: Array) -> float:
-    return float(np.arctan2(C[1, 0], C[0, 0]))
+def upright(up: Array) -> Array:
+    """The least rotation that turns ``up`` to z."""
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    sine = np.linalg.norm(axis)
+    return dense.rotation(axis / sine * np.arctan2(sine, up[2])) if sine > 0 else np.eye(3)
 
 
 def levelled(C: Array, force: Array, mag: Array, offset: Array, soft: Array, how: str) -> Array:
-    """The field in navigation axes, the levelled calibration soft (m - offset) in between."""
-    yaw = yaw_of(C)
-    about_up = dense.euler_attitude(0.0, 0.0, yaw)
-    tilted = dense.levelled_attitude(force, 0.0) if how == "force" else about_up.T @ C
-    flat = tilted @ mag
+    """The field in navigation axes, turned upright, with the levelled calibration soft (m - offset) between
+    two rotations: to the level body with x ahead, and about up to navigation axes."""
+    up = force if how == "force" else C[2]
+    ahead = dense.levelled_attitude(up, 0.0)
+    flat = ahead @ mag
     flat = np.append(soft @ (flat[:2] - offset), flat[2])
-    return about_up @ flat
+    return upright(C @ up) @ C @ ahead.T @ flat
+
+
+def twist(C: Array) -> float:
+    """The turn about up in a rotation: of its quaternion, what is left of x and y."""
+    return float(np.arctan2(C[1, 0] - C[0, 1], C[0, 0] + C[1, 1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +212,8 @@ class MagneticSettings:
     row: str = "full"  # or "simple"
     levelling: str = "force"  # or "attitude"
     per: str = "step"  # or "sample"
-    dwell: float = 0.12
+    settle: float = 0.06
+    dwell: float = 0.06
     gap: float = 0.15
     steps: int = 3
     threshold: float = 170.0
@@ -232,9 +241,9 @@ class Seen(NamedTuple):
 class Foot:
     """When a foot looks at the field: once in each stance, after some stillness, or at every still sample."""
 
-    def __init__(self, settings: MagneticSettings):
-        self.settings = settings
-        self.total, self.seconds = np.zeros(3), 0.0
+    def __init__(self, settings: MagneticSettings, first: Array):
+        self.settings, self.first = settings, first
+        self.total, self.seconds, self.stood = np.zeros(3), 0.0, 0.0
         self.moving, self.used, self.time = 0.0, False, 0.0
         self.looks: list[Seen] = []
 
@@ -244,31 +253,30 @@ class Foot:
         here = levelled(C, force, mag, s.offset, s.soft, s.levelling)
         self.time += dt
         self.moving = 0.0 if still > 0.5 else self.moving + dt
+        if self.moving > s.gap + dt / 2:
+            self.stood = 0.0
         if s.per == "sample" or self.moving > s.gap + dt / 2:
             self.total, self.seconds, self.used = np.zeros(3), 0.0, False
-        self.total = self.total + still * dt * here
-        self.seconds += still * dt
+        self.stood += still * dt
+        settled = self.stood + dt / 2 >= s.settle
+        if settled:
+            self.total = self.total + still * dt * here
+            self.seconds += still * dt
         if s.per == "sample":
-            looks = still > 0.5 and dt > 0
+            looks = settled and still > 0.5 and dt > 0
         else:
-            looks = self.seconds + dt / 2 >= s.dwell and not self.used and dt > 0
+            looks = self.stood + dt / 2 >= s.settle + s.dwell and not self.used and dt > 0
         if looks:
-            self.looks.append(Seen(self.total / self.seconds, yaw_of(C), self.time))
+            self.looks.append(Seen(self.total / self.seconds, twist(C @ self.first.T), self.time))
             self.used = True
         return looks
 
-    def turn(self, t: Array, C: Array) -> None:
-        """What was seen, with an attitude that the rotation vector ``t`` corrected to ``C``."""
-        yaw = float(heading_row(C) @ t)
+    def turn(self, t: Array) -> None:
+        """What was seen, with an attitude that the rotation vector ``t`` corrected."""
+        yaw = float(t[2])
         R = dense.rotation(np.array([0.0, 0.0, yaw]) if self.settings.levelling == "force" else t)
         self.looks = [Seen(R @ x.field, x.yaw + yaw, x.time) for x in self.looks]
         self.total = R @ self.total
-
-
-def heading_row(C: Array) -> Array:
-    """How yaw changes with the attitude error: tan(pitch) cos(yaw), tan(pitch) sin(yaw), 1."""
-    pitch, yaw = np.arcsin(-C[2, 0]), yaw_of(C)
-    return np.array([np.tan(pitch) * np.cos(yaw), np.tan(pitch) * np.sin(yaw), 1.0])
 
 
 def run_magnetic(
@@ -297,7 +305,7 @@ def run_magnetic(
         np.array(settings.initial_accelerometer_bias, dtype=float),
     )
     P = dense.initial_covariance(settings)
-    foot = Foot(magnetic)
+    foot = Foot(magnetic, x[0])
     strength_0, inclination_0 = magnetic.reference
     quasi, anchor, before = 0.0, np.zeros(3), magnetic_field[0]
     shapes = {"p": (3,), "v": (3,), "C": (3, 3), "b_g": (3,), "b_a": (3,), "P_diag": (15,)}
@@ -325,15 +333,14 @@ def run_magnetic(
             dx, P = dense.weighted_update(P, H_zupt, R, -v, float(weight_zupt[k]))
             x = dense.apply_error(dx, *x)
 
-        C, b_a = x[0], x[4]
-        looked = foot.see(C, specific_force[k] - b_a, magnetic_field[k], step, float(weight_zupt[k]))
+        looked = foot.see(x[0], specific_force[k], magnetic_field[k], step, float(weight_zupt[k]))
         if looked:
             seen = foot.looks[-1]
             now, far = gated(foot, magnetic), 0.0
             if now > 0.5 and quasi <= 0.5:
                 anchor = foot.looks[-1 - magnetic.steps].field
             quasi = now
-            H, R, z = rows_of(foot, magnetic, C, anchor, (strength_0, inclination_0))
+            H, R, z = rows_of(foot, magnetic, anchor, (strength_0, inclination_0))
             far = float(z @ np.linalg.inv(H @ P @ H.T + R) @ z)
             weight = quasi
             if np.isfinite(magnetic.tail):
@@ -343,7 +350,7 @@ def run_magnetic(
             if weight != 0.0:
                 dx, P = dense.weighted_update(P, H, R, z, weight)
                 x = dense.apply_error(dx, *x)
-                foot.turn(dx[dense.PHI], x[0])
+                foot.turn(dx[dense.PHI])
             out["look"][k], out["weight"][k] = 1.0, weight
             if magnetic.running:
                 share = 1.0 / min(len(foot.looks) + 1.0, 50.0)
@@ -359,7 +366,7 @@ def run_magnetic(
             H[:, dense.BG] = -cross
             dx, P = dense.weighted_update(P, H, R, z, float(weight_zupt[k]) * quasi)
             x = dense.apply_error(dx, *x)
-            foot.turn(dx[dense.PHI], x[0])
+            foot.turn(dx[dense.PHI])
         before = magnetic_field[k]
         out["C"][k], out["b_g"][k], out["p"][k], out["v"][k], out["b_a"][k] = x
         out["P_diag"][k] = np.diag(P)
@@ -379,16 +386,14 @@ def gated(foot: Foot, s: MagneticSettings) -> float:
 
 
 def rows_of(
-    foot: Foot, s: MagneticSettings, C: Array, anchor: Array, reference: tuple[float, float]
+    foot: Foot, s: MagneticSettings, anchor: Array, reference: tuple[float, float]
 ) -> tuple[Array, Array, Array]:
     """H (m, 15), noise (m, m) and innovation (m,) of the last look."""
     b = foot.looks[-1].field
     if s.update in ("heading", "none"):
         level, H = np.hypot(b[0], b[1]), np.zeros((1, 15))
-        if s.row == "simple":
+        if s.row == "simple" or s.levelling == "force":
             H[0, 2] = 1.0
-        elif s.levelling == "force":
-            H[0, dense.PHI] = heading_row(C)
         else:
             H[0, dense.PHI] = [-b[2] * b[0] / level**2, -b[2] * b[1] / level**2, 1.0]
         odd = (strength(b) / reference[0] - 1) ** 2 + (inclination(b) - reference[1]) ** 2
