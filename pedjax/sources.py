@@ -77,9 +77,24 @@ def read_labelled(
         if sensor not in walk.truth:
             raise InputError(f"{name}: has no sensor '{sensor}', but {', '.join(walk.truth)}")
         return walk.recording, walk.truth[sensor]
-    recording, path = read(name, config=config), Path(name)
-    stem = path.name.removesuffix(".gz").removesuffix(".csv")
-    return recording, _truth_of(path.with_name(f"{stem}.truth.npz"), recording, sensor)
+    recording = read(name, config=config)
+    return recording, _truth_of(_beside(name), recording, sensor)
+
+
+def read_with_truth(
+    name: str | os.PathLike[str], config: str | None = None, sensor: str = "foot"
+) -> tuple[Recording, SensorTruth | None]:
+    """A recording, and what is true of one of its sensors where that is known, as in `read_labelled`."""
+    name = os.fspath(name)
+    if is_made(name) or _beside(name).exists():
+        return read_labelled(name, config, sensor)
+    return read(name, config=config), None
+
+
+def _beside(name: str) -> Path:
+    """Where `pedjax simulate` writes the truth of a file."""
+    path = Path(name)
+    return path.with_name(f"{path.name.removesuffix('.gz').removesuffix('.csv')}.truth.npz")
 
 
 _REMEDY = (

@@ -16,6 +16,8 @@ import jax  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
+from pedjax.simulation.scenarios import load_scenario  # noqa: E402
+from pedjax.simulation.world import simulate  # noqa: E402
 from tests import tools  # noqa: E402
 from tests.reference.walk import walk  # noqa: E402
 
@@ -59,3 +61,11 @@ def demos():
     """Four demo walks, cropped to different lengths."""
     seconds = (12.0, 19.0, 9.0, 15.0)
     return [tools.crop(pedjax.read(f"demo:{seed}"), s) for seed, s in enumerate(seconds)]
+
+
+@pytest.fixture(scope="session")
+def straight(tmp_path_factory):
+    """A made walk of 63 strides straight on in a homogeneous field, for a foot alone, with its truth."""
+    path = tmp_path_factory.mktemp("scenario") / "straight.toml"
+    path.write_text(tools.STRAIGHT)
+    return simulate(load_scenario(path), 1)

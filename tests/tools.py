@@ -26,6 +26,15 @@ ERROR_STATES = ("attitude", "gyroscope_bias", "position", "velocity", "accelerom
 
 LEAVES = tuple(parameters.specs(system("iez").defaults()))
 
+STRAIGHT = """
+rate_hz = 100.0
+standing_s = 2.0
+landmarks = [[0.0, 0.0]]
+field = { kind = "munich" }
+legs = [{ points = [[0, 0], [90, 0]] }]
+"""
+"""A scenario: straight on in a homogeneous field."""
+
 
 def noisy(walk, seed, force=0.05, rate=0.005, force_bias=0.04, rate_bias=0.003):
     """The walk with white noise and constant biases on its sensors, in m/s^2 and rad/s."""

@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from pedjax import __version__, parameters, plots
-from pedjax.cli import allan, calibrate, roc, simulate, sweeps
+from pedjax.cli import allan, calibrate, roc, sigmas, simulate, sweeps
 from pedjax.cli.common import configured, loaded, say, write_metrics, write_parameters
 from pedjax.config import override, resolve, resolved, site_of, tune_settings
 from pedjax.evaluation.scores import score_kind
@@ -302,5 +302,6 @@ COMMANDS = {
     "sweep": sweeps.sweep,
     "sweep-report": sweeps.sweep_report,
     "roc": roc.roc,
+    "sigmas": sigmas.sigmas,
     "parameters": show_parameters,
 }

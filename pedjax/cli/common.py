@@ -11,6 +11,7 @@ from typing import Any
 from pedjax import __version__, parameters
 from pedjax.calibration import files as calibration_files
 from pedjax.config import Config, load, load_plugin, override, resolve, resolved
+from pedjax.detection import looks_at_field
 from pedjax.errors import InputError
 from pedjax.filters.compass import calibrated_by
 from pedjax.output import write_json, write_toml
@@ -77,6 +78,11 @@ def _calibrated(config: Config, path: str) -> Config:
             f"--system ({', '.join(magnetic)})"
         )
     return replace(config, parameters={**parameters.flatten(config.parameters), **new})
+
+
+def looking() -> list[str]:
+    """The systems that look at the field."""
+    return [name for name, each in SYSTEMS.items() if looks_at_field(each.defaults())]
 
 
 def say(*lines: str) -> None:

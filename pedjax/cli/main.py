@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Sequence
 
 from pedjax import __version__
-from pedjax.cli import allan, calibrate, roc
+from pedjax.cli import allan, calibrate, roc, sigmas
 from pedjax.errors import InputError
 
 
@@ -99,6 +99,7 @@ def _parser() -> argparse.ArgumentParser:
             "--no-gradient", dest="gradient", action="store_false", help="no slopes at the best set"
         )
     roc.add_parser(commands, both)
+    sigmas.add_parser(commands, both)
     simulate = commands.add_parser("simulate", help="walk a scenario: sensors with errors, exact truth")
     simulate.add_argument("scenario", nargs="?", metavar="SCENARIO", help="its name, or a TOML file")
     simulate.add_argument("--list", action="store_true", help="the scenarios that come with the package")

@@ -8,7 +8,7 @@ from itertools import combinations
 from typing import Any
 
 from pedjax import __version__, parameters
-from pedjax.cli.common import configured, loaded, say, write_metrics, write_parameters
+from pedjax.cli.common import configured, loaded, looking, say, write_metrics, write_parameters
 from pedjax.config import Config, resolve
 from pedjax.detection import (
     Banded,
@@ -28,7 +28,6 @@ from pedjax.errors import InputError, suggest
 from pedjax.identity import fingerprint
 from pedjax.output import folder, write_figure, write_table
 from pedjax.sources import read_all, read_labelled
-from pedjax.systems import SYSTEMS
 from pedjax.walks import sensor_names
 
 KINDS: dict[str, Mapping[str, Any]] = {"stance": DETECTORS, "field": FIELD_DETECTORS}
@@ -70,7 +69,7 @@ def roc(args: argparse.Namespace) -> int:
     _, params = resolve(loaded(args))  # with the plugins, which may bring detectors and systems
     kind, names = _kind(args)
     if kind == "field" and args.system is None and not looks_at_field(params):
-        args.system = _looking()[0]
+        args.system = looking()[0]
     config = configured(args)
     wanted = _wanted(args)
     out = folder(config.out)
@@ -147,7 +146,7 @@ def _stance(args: argparse.Namespace, config: Config, names: list[str]) -> Judge
 def _field(args: argparse.Namespace, config: Config, names: list[str]) -> Judged:
     system, params = resolve(config)
     if not looks_at_field(params):
-        those = ", ".join(_looking())
+        those = ", ".join(looking())
         raise InputError(
             f"the system '{system.name}' does not look at the field; choose another --system ({those})"
         )
@@ -163,11 +162,6 @@ def _field(args: argparse.Namespace, config: Config, names: list[str]) -> Judged
         same_field=args.same_field,
         same_heading=args.same_heading,
     )
-
-
-def _looking() -> list[str]:
-    """The systems that look at the field."""
-    return [name for name, each in SYSTEMS.items() if looks_at_field(each.defaults())]
 
 
 def _plain(value: Interval) -> dict[str, float]:

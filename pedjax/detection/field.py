@@ -18,7 +18,6 @@ from pedjax.detection.points import Reached, is_searched, moved, searched, unit_
 from pedjax.detectors.field import FIELD_DETECTORS, FieldParameters, Look, log_ratio
 from pedjax.errors import InputError
 from pedjax.recording import Clock, Recording
-from pedjax.running import Track
 from pedjax.running import run as run_system
 from pedjax.shapes import bucket
 from pedjax.simulation.footsteps import GAITS
@@ -77,13 +76,27 @@ def field_walk(
     sensor: str = "foot",
     clock: Clock | None = None,
 ) -> FieldWalk:
+    """What a foot saw on one walk, see `seen_windows`, with what is true beside each window of looks."""
+    windows = seen_windows(recording, system, params, sensor=sensor, clock=clock)
+    here = stance_at(np.append(windows.time[:-1, 0], windows.time[-1]), truth)  # of every look, once
+    return FieldWalk(recording.name, windows, *_truths(truth, here, params.field.window))
+
+
+def seen_windows(
+    recording: Recording,
+    system: str | System,
+    params: Any,
+    *,
+    sensor: str = "foot",
+    clock: Clock | None = None,
+) -> Windows:
     """Run a system that looks at the field with nothing made of it, so that no detector has a say in what it
-    is given, and put what is true beside each window of looks.
+    is given, and put its looks into windows.
 
     `params` are the system's, see `looks_at_field`.
     """
     if params.compass.looking.per == "sample":
-        raise InputError("an ROC of field detectors judges steps: set compass.looking.per = step")
+        raise InputError("field detectors are judged step by step: set compass.looking.per = step")
     alone = replace(params, compass=params.compass.only_looking())
     track = run_system(recording, system, alone, sensor=sensor, clock=clock)
     steps = params.field.window
@@ -93,11 +106,7 @@ def field_walk(
             f"{recording.name}: {len(at)} looks at the field are too few for a window of {steps} steps; walk "
             "longer or raise the stance detector's threshold"
         )
-    here = stance_at(track.time[at], truth)
-    return FieldWalk(recording.name, _windows(track, at, steps), *_truths(truth, here, steps))
 
-
-def _windows(track: Track, at: np.ndarray, steps: int) -> Windows:
     def slid(x: np.ndarray) -> np.ndarray:
         return np.moveaxis(np.lib.stride_tricks.sliding_window_view(x[at], steps + 1, axis=0), -1, 0)
 

@@ -1,4 +1,4 @@
-"""Tuning and ROC."""
+"""Tuning, ROC, and the sigmas of field detectors."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pedjax.detection.bands import Banded
+from pedjax.detection.sigmas import FieldSigmas
 from pedjax.evaluation.scores import score_kind
 
 if TYPE_CHECKING:
@@ -74,4 +75,39 @@ def roc_curves(curves: Mapping[str, Mapping[str, Banded]]) -> Figure:
         linear.legend(fontsize=8, loc="lower right")
         if len(curves) > 1:
             linear.set_title(part, fontsize=10)
+    return figure
+
+
+def field_changes(
+    found: FieldSigmas, keep: float, before: Mapping[str, float], unit: Mapping[str, str]
+) -> Figure:
+    """How often the field changed by how much from look to look, a panel a sigma: in all windows, in those
+    that count as quasi-static (of which `keep` is the part below the quantile), and the Gaussians of the new
+    sigma, of the one `before`, and of the true label where it is known."""
+    names = list(found.changes)
+    figure = Figure(figsize=(max(4.6 * len(names), 7.0), 4.2), layout="constrained")
+    axes = figure.subplots(1, len(names), squeeze=False)[0]
+    for ax, name in zip(axes, names, strict=True):
+        changes, sigma = found.changes[name], found.fit.sigma[name]
+        edges = np.linspace(-6, 6, 61) * sigma
+        used = changes[:, found.fit.used].ravel()
+        ax.hist(changes.ravel(), edges, color="0.8", label="all windows")
+        ax.hist(used, edges, color="C0", alpha=0.6, label="counted as quasi-static")
+        fine = np.linspace(edges[0], edges[-1], 400)
+        curves = {"fitted": (sigma, "k-"), "before": (before[name], "C1--")}
+        if found.by_truth:
+            curves["by truth"] = (found.by_truth[name], "C2:")
+        for label, (value, style) in curves.items():
+            density = np.exp(-0.5 * (fine / value) ** 2) / (np.sqrt(2 * np.pi) * value)
+            height = len(used) / keep * (edges[1] - edges[0]) * density  # as many changes, uncut
+            ax.plot(fine, height, style, lw=1.4, label=f"{label}: {value:.3g} {unit[name]}")
+        tallest = np.histogram(changes, edges)[0].max()
+        ax.set_ylim(0, 1.6 * tallest)  # room for the legend; a narrow Gaussian may leave it
+        ax.set_xlim(edges[0], edges[-1])
+        ax.set_xlabel(f"change, {name.removeprefix('sigma_')} ({unit[name]})")
+        ax.grid(alpha=0.3)
+        ax.legend(fontsize=8, loc="upper left")
+    axes[0].set_ylabel("changes from look to look")
+    part = f"{found.fit.used.sum()} of {len(found.fit.used)} windows"
+    figure.suptitle(f"{found.detector}: {part} counted as quasi-static", fontsize=11)
     return figure
