@@ -27,7 +27,7 @@ from pedjax import parameters
 from pedjax.config import Config, override, resolve
 from pedjax.detection import Banded, Labelled, Wanted, compare, difference, roc
 from pedjax.detection import field as judging
-from pedjax.detection.bands import draw
+from pedjax.detection.bands import draw, rate
 from pedjax.detection.field import FieldWalk
 from pedjax.detectors.field import FIELD_DETECTORS
 from pedjax.output import folder, write_figure, write_table
@@ -153,11 +153,7 @@ def turn_rows(
                 hits = np.array([(x & y).sum() for x, y in zip(passed, those, strict=True)], float)
                 count = np.array([y.sum() for y in those], float)
                 row |= {f"{title}_windows": int(count.sum())}
-                with np.errstate(invalid="ignore"):
-                    rate, drawn = hits.sum() / count.sum(), (draws @ hits) / (draws @ count)
-                good = drawn[np.isfinite(drawn)]
-                ends = np.percentile(good, [2.5, 97.5]) if len(good) else (np.nan, np.nan)
-                row |= {title: float(rate), f"{title}_low": ends[0], f"{title}_high": ends[1]}
+                row |= rate(hits, count, draws).columns(title)
             rows.append(row)
     return rows
 
@@ -171,9 +167,9 @@ def turn_figure(rows: list[dict[str, Any]]) -> Figure:
         for ax, title in zip(line, ("detection", "false_alarm"), strict=True):
             for k, name in enumerate(FIELD_DETECTORS):
                 own = [r for r in rows if r["scenario"] == scenario and r["detector"] == name]
-                rate, low, high = (np.array([r[title + end] for r in own]) for end in ("", "_low", "_high"))
+                found, low, high = (np.array([r[title + end] for r in own]) for end in ("", "_low", "_high"))
                 x = place + 0.08 * (k - 2.5)
-                ax.errorbar(x, rate, [rate - low, high - rate], fmt="o-", ms=3, lw=1, label=name)
+                ax.errorbar(x, found, [found - low, high - found], fmt="o-", ms=3, lw=1, label=name)
             counts = [r[f"{title}_windows"] for r in own]
             ax.set_xticks(place, [f"{n}\n({c})" for n, c in zip(named, counts, strict=True)], fontsize=8)
             ax.set_title(f"{scenario}: {title.replace('_', ' ')}", fontsize=10)

@@ -22,6 +22,7 @@ from pedjax.detection import (
     judge_stance,
     looks_at_field,
 )
+from pedjax.detection.bands import FEWEST
 from pedjax.detectors.field import FIELD_DETECTORS
 from pedjax.detectors.stance import DETECTORS
 from pedjax.errors import InputError, suggest
@@ -89,8 +90,9 @@ def roc(args: argparse.Namespace) -> int:
         f"{a} - {b}": dict(zip(("auc", "partial_auc"), map(_plain, difference(x, y)), strict=True))
         for (a, x), (b, y) in combinations(curves["all"].items(), 2)
     }
-    if len(judged.recordings) < 2:
-        say("one recording: no intervals [?], for they come from drawing whole recordings anew")
+    shown = [found for part in DRAWN if part in curves for found in curves[part].values()]
+    if any(found.walks < FEWEST for found in shown):
+        say(f"[?]: intervals and bands need at least {FEWEST} recordings with windows of both labels")
     write_table(out / "roc.csv", _area_table(curves, judged.given))
     told = zip(config.recordings, judged.entries, strict=True)
     entries = [{"path": str(path), **entry} for path, entry in told]

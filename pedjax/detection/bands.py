@@ -2,6 +2,13 @@
 
 Windows of one walk are alike, so it is walks that are drawn, never windows. The same draws serve every
 detector, which makes the difference of two of them a paired one.
+
+Of few walks the draws vary too little, and their percentiles are far too narrow. So the draws give only the
+spread, times sqrt(n / (n - 1)) for n walks, and an interval is that of Student's t with n - 1 degrees of
+freedom about the exact estimate: for probabilities and areas on the scale of their logit, for differences as
+they are. On made-up sets of 5 to 12 walks with areas of 0.8 to 0.98 they hold the true value in 90 to 99 %.
+Closer to 1, where the few errors come from few walks, they are too narrow: at 0.998 intervals of areas and of
+their differences hold it in 86 to 92 %.
 """
 
 from __future__ import annotations
@@ -16,10 +23,12 @@ from pedjax.detection.curves import Roc, roc
 LEVEL = 0.95
 """Of all intervals and bands."""
 
+FEWEST = 5
+"""Walks with windows of either label; of fewer there are no intervals and bands."""
+
 
 class Interval(NamedTuple):
-    """A value, and where it lies with 95 %: NaN unless two walks at least have windows of either label, and
-    too narrow where few of them have."""
+    """A value, and where it lies with 95 %: NaN unless five walks at least have windows of either label."""
 
     value: float
     low: float
@@ -36,8 +45,9 @@ class Interval(NamedTuple):
 
 class Band(NamedTuple):
     """Some points of a curve, `(M,)` each, from threshold to threshold, and between which `low` and `high`
-    the probability of detection lies at that probability of false alarm (where a curve rises straight up, its
-    highest)."""
+    the probability of detection lies at that probability of false alarm. Where a curve rises straight up, it
+    is that of its highest point, and `low` goes down to hold the points below; `high` never falls. NaN as in
+    `Interval`."""
 
     threshold: np.ndarray
     p_false_alarm: np.ndarray
@@ -48,13 +58,15 @@ class Band(NamedTuple):
 
 class Banded(NamedTuple):
     """The `roc` of all walks, its `band`, the area under it, the standardised `partial` area at few false
-    alarms (McClish: 1/2 by chance, 1 at best), and both `(2, B)` for each draw of walks."""
+    alarms (McClish: 1/2 by chance, 1 at best), both `(2, 1 + B)` with every walk once and for each draw of
+    walks, and how many `walks` have windows of either label (of the label that fewer have)."""
 
     roc: Roc
     band: Band
     auc: Interval
     partial: Interval
     drawn: np.ndarray
+    walks: int
 
 
 class Labelled(NamedTuple):
@@ -105,8 +117,9 @@ def banded(
 ) -> Banded:
     """ROC with its band, from a statistic and labels walk by walk (small means yes).
 
-    The curve of all walks is exact; the draws are taken at `most` of its thresholds, evenly along the curve.
-    Draws without windows of both labels count for nothing.
+    `draws (B, walks)` tells how often each walk comes in each draw. The curve of all walks is exact; it is
+    drawn at `most` of its thresholds, evenly along the curve, and so is every walk once: the spread of draws
+    is about that, not about the exact curve. Draws without windows of both labels count for nothing.
     """
     curve = roc(np.concatenate(statistic), np.concatenate(label))
     along = curve.p_false_alarm + curve.p_detection
@@ -118,32 +131,48 @@ def banded(
     detected = np.stack([_below(t[y], threshold) for t, y in zip(statistic, label, strict=True)])
     alarmed = np.stack([_below(t[~y], threshold) for t, y in zip(statistic, label, strict=True)])
     of = np.array([[y.sum(), (~y).sum()] for y in label], float)
-    yes, no = (draws @ of).T
-    enough = bool(((of > 0).sum(axis=0) > 1).all())
+    walks = int((of > 0).sum(axis=0).min())
+    times = np.concatenate([np.ones((1, len(of))), draws])
+    yes, no = (times @ of).T
     good = (yes > 0) & (no > 0)
-    p_detection = np.pad(draws[good] @ detected / yes[good, None], ((0, 0), (1, 0)))
-    p_false_alarm = np.pad(draws[good] @ alarmed / no[good, None], ((0, 0), (1, 0)))
-    drawn = np.full((2, len(draws)), np.nan)
+    p_detection = np.pad(times[good] @ detected / yes[good, None], ((0, 0), (1, 0)))
+    p_false_alarm = np.pad(times[good] @ alarmed / no[good, None], ((0, 0), (1, 0)))
+    drawn = np.full((2, len(times)), np.nan)
     drawn[:, good] = areas(p_false_alarm, p_detection, upto)
-    at = curve.p_false_alarm[kept]
-    if enough:
-        low, high = _bounds(detection_at(p_false_alarm, p_detection, at))
-    else:
+    whole = np.pad(curve.p_false_alarm, (1, 0))[None], np.pad(curve.p_detection, (1, 0))[None]
+    at, own = curve.p_false_alarm[kept], curve.p_detection[kept]
+    if walks < FEWEST:
         low = high = np.full(len(at), np.nan)
-    exact = areas(np.pad(curve.p_false_alarm, (1, 0))[None], np.pad(curve.p_detection, (1, 0))[None], upto)
-    auc, partial = (_interval(float(value[0]), d, enough) for value, d in zip(exact, drawn, strict=True))
-    return Banded(curve, Band(threshold, at, curve.p_detection[kept], low, high), auc, partial, drawn)
+    else:
+        top = detection_at(*whole, at)[0]
+        half = np.full(len(at), 0.5 / yes[0])
+        low, high = _between(top, detection_at(p_false_alarm, p_detection, at).T, walks, half)
+        # no curve falls, so bounds at fewer or more false alarms are bounds here, too
+        low, high = np.maximum.accumulate(low), np.minimum.accumulate(high[::-1])[::-1]
+        low = np.minimum(np.where(at < 1, low, 1.0), own)  # where all is alarm, all is detected for certain
+    half = 0.5 / np.array([np.sqrt(yes[0] * no[0]), min(yes[0], no[0])])  # an area has steps of 1 / (yes no)
+    value = areas(*whole, upto)[:, 0]
+    auc, partial = map(_interval, value, *_between(value, drawn, walks, half))
+    return Banded(curve, Band(threshold, at, own, low, high), auc, partial, drawn, walks)
 
 
 def difference(a: Banded, b: Banded) -> tuple[Interval, Interval]:
     """Area and partial area of `a` less those of `b`, from the same draws of the same walks."""
-    enough = bool(np.isfinite(a.auc.low))
-    pairs = ((a.auc, b.auc), (a.partial, b.partial))
-    auc, partial = (
-        _interval(x.value - y.value, apart, enough)
-        for (x, y), apart in zip(pairs, a.drawn - b.drawn, strict=True)
-    )
+    value = np.array([a.auc.value - b.auc.value, a.partial.value - b.partial.value])
+    reach = _reach(a.drawn - b.drawn, min(a.walks, b.walks))
+    auc, partial = map(_interval, value, np.maximum(value - reach, -1), np.minimum(value + reach, 1))
     return auc, partial
+
+
+def rate(hits: np.ndarray, count: np.ndarray, draws: np.ndarray) -> Interval:
+    """How often something holds, from `hits` among `count` windows in each walk, both `(walks,)`, and
+    `draws (B, walks)` of the walks."""
+    times = np.concatenate([np.ones((1, len(hits))), draws])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        drawn = (times @ hits) / (times @ count)
+        half = np.array([0.5]) / count.sum()
+    ends = _between(drawn[:1], drawn[None], int((count > 0).sum()), half)
+    return _interval(drawn[0], ends[0][0], ends[1][0])
 
 
 def areas(p_false_alarm: np.ndarray, p_detection: np.ndarray, upto: float) -> np.ndarray:
@@ -181,11 +210,44 @@ def _below(statistic: np.ndarray, threshold: np.ndarray) -> np.ndarray:
     return np.where(np.isinf(threshold), len(ordered), count).astype(float)
 
 
-def _bounds(drawn: np.ndarray) -> np.ndarray:
-    low, high = 50 * (1 - LEVEL), 50 * (1 + LEVEL)
-    return np.percentile(drawn, [low, high], axis=0)
+def _between(
+    value: np.ndarray, drawn: np.ndarray, walks: int, half: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where probabilities or areas `value (M,)` lie, low and high `(M,)`, from those `drawn (M, 1 + B)`.
+
+    `half (M,)` is half a window as a part of all those counted. It is added on either side of the logit,
+    which so has a value at 0 and 1, and no spread is taken for less: where all of N windows are found in all
+    of many walks, the interval goes down to 1 - 3 / N.
+    """
+    if walks < FEWEST:
+        return np.full(len(value), np.nan), np.full(len(value), np.nan)
+    least = half / (value + half) + half / (1 - value + half)
+    reach = _reach(_logit(drawn, half[:, None]), walks, least)
+    middle = _logit(value, half)
+    low, high = (_probability(middle + side * reach, half) for side in (-1, 1))
+    return np.minimum(low, value), np.maximum(high, value)  # rounding may have crossed them
 
 
-def _interval(value: float, drawn: np.ndarray, enough: bool) -> Interval:
-    ends = _bounds(drawn[np.isfinite(drawn)]) if enough else (np.nan, np.nan)
-    return Interval(value, float(ends[0]), float(ends[1]))
+def _reach(drawn: np.ndarray, walks: int, least: np.ndarray | float = 0.0) -> np.ndarray:
+    """How far an interval reaches to either side `(M,)`: by Student's t, from values `drawn (M, 1 + B)` with
+    every walk once and for each draw, of a spread of `least` or more."""
+    if walks < FEWEST:
+        return np.full(len(drawn), np.nan)
+    from scipy.special import stdtrit  # here: it takes a tenth of pedjax's start
+
+    apart = drawn[:, 1:] - drawn[:, :1]
+    spread = np.sqrt(np.nanmean(apart**2, axis=1) * walks / (walks - 1))
+    return stdtrit(walks - 1, (1 + LEVEL) / 2) * np.maximum(spread, least)
+
+
+def _logit(p: np.ndarray, half: np.ndarray) -> np.ndarray:
+    return np.log(p + half) - np.log(1 - p + half)
+
+
+def _probability(logit: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Back from `_logit`, within 0 and 1."""
+    return np.clip((1 + 2 * half) / (1 + np.exp(-logit)) - half, 0, 1)
+
+
+def _interval(value: float, low: float, high: float) -> Interval:
+    return Interval(float(value), float(low), float(high))

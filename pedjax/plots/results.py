@@ -52,7 +52,8 @@ def tuning_history(tuned: Tuned) -> Figure:
 
 
 def roc_curves(curves: Mapping[str, Mapping[str, Banded]]) -> Figure:
-    """Detection over false alarm by part and detector, with 95 % bands, linear and logarithmic."""
+    """Detection over false alarm by part and detector, with 95 % bands where there are enough walks for them,
+    linear and logarithmic."""
     figure = Figure(
         figsize=(4.5 * max(len(curves), 2), 4.4 if len(curves) == 1 else 8.4), layout="constrained"
     )
@@ -64,7 +65,8 @@ def roc_curves(curves: Mapping[str, Mapping[str, Banded]]) -> Figure:
                 shown = (band.p_false_alarm, band.p_detection, band.low, band.high)
                 alarm, detected, under, over = (np.append(0.0, x) for x in shown)
                 ax.plot(alarm, detected, lw=1.3, color=f"C{k}", label=f"{name}, AUC {found.auc}")
-                ax.fill_between(alarm, under, over, color=f"C{k}", alpha=0.15, lw=0)
+                if np.isfinite(band.low).all():
+                    ax.fill_between(alarm, under, over, color=f"C{k}", alpha=0.15, lw=0)
         low.set_xscale("log")
         low.set_xlim(1e-4, 1)
         for ax in (linear, low):

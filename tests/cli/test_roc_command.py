@@ -19,7 +19,9 @@ def test_field_detectors(tmp_path, capsys):
     names = ("ma", "iqsf", "vector")
     options = ("--detection", 0.8, "--same-field", 6, "--same-heading", 10)
     assert call("roc", "corridor:0", "corridor:1", "--detectors", *names, *options, "--out", out) == 0
-    assert "vector AUC 0." in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "vector AUC 0." in told
+    assert told.count("intervals and bands need at least 5 recordings") == 1
     found = metrics(out)
     assert found["kind"] == "field"
     assert found["system"] == "ma2018"
@@ -28,13 +30,15 @@ def test_field_detectors(tmp_path, capsys):
     for name in names:
         point = found["roc"][name]
         assert 0.8 <= point["p_detection"] <= 0.85
-        assert point["auc_interval"][0] <= point["auc"] <= point["auc_interval"][1]
+        assert 0.5 < point["auc"] < 1
+        assert point["auc_interval"] == point["partial_auc_interval"] == [None, None]
+        assert f"{name:6} AUC {point['auc']:.3f} [?]" in told
         assert {"all", "straight"} <= set(point["parts"])
         curve = rows(out / f"roc_{name}.csv")
         whole = [row for row in curve if row["part"] == "all"]
         assert float(whole[-1]["p_detection"]) == 1
         for row in whole:
-            assert float(row["p_detection_low"]) <= float(row["p_detection_high"]) + 1e-9
+            assert row["p_detection_low"] == row["p_detection_high"] == "nan"
         chosen = tomllib.loads((out / f"roc_{name}.toml").read_text())
         assert chosen["system"] == "ma2018"
         assert chosen["parameters"]["field"]["detector"] == name
@@ -44,22 +48,34 @@ def test_field_detectors(tmp_path, capsys):
     assert written == pytest.approx(found["roc"]["ma"]["threshold"], rel=1e-9)
     areas = rows(out / "roc.csv")
     assert {row["detector"] for row in areas} == set(names)
+    assert {row["auc_low"] for row in areas} == {"nan"}
+    assert found["differences"]["ma - vector"]["auc"]["low"] is None
     assert (out / "roc.png").exists()
     run = tmp_path / "run"
     assert call("run", "corridor:1", "--config", out / "roc_vector.toml", "--out", run, "--no-figures") == 0
     assert metrics(run)["recordings"][0]["tuned_on"]
 
 
-def test_stance_detectors_have_the_same_files(files, tmp_path):
+def test_stance_detectors_have_the_same_files(files, tmp_path, capsys):
+    """With intervals and bands, for there are five walks."""
     out = tmp_path / "roc"
-    assert call("roc", *files[:2], "--detectors", "shoe", "eps", "--out", out) == 0
+    assert call("roc", *files, "demo:4", "--detectors", "shoe", "eps", "--out", out) == 0
+    assert "[?]" not in capsys.readouterr().out
     found = metrics(out)
     assert found["kind"] == "stance"
+    apart = found["differences"]["shoe - eps"]["auc"]
+    assert -1 <= apart["low"] <= apart["value"] <= apart["high"] <= 1
+    assert (out / "roc.png").exists()
     for name in ("shoe", "eps"):
         point = found["roc"][name]
         assert point["p_false_alarm"] <= 0.05
         assert point["auc_interval"][0] <= point["auc"] <= point["auc_interval"][1]
-        assert np.isfinite([float(row["p_detection_low"]) for row in rows(out / f"roc_{name}.csv")]).all()
+        columns = ("p_detection_low", "p_detection", "p_detection_high")
+        low, found_there, high = np.array([
+            [float(row[x]) for x in columns] for row in rows(out / f"roc_{name}.csv")
+        ]).T  # fmt: skip
+        assert (low <= found_there).all()
+        assert (found_there <= high).all()
     chosen = tomllib.loads((out / "roc_shoe.toml").read_text())
     assert chosen["parameters"]["stance"]["shoe"]["threshold"] == pytest.approx(
         found["roc"]["shoe"]["threshold"], rel=1e-6
