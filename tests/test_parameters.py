@@ -263,7 +263,7 @@ def test_other_defaults_have_their_own_source():
     assert (about.source, about.unit, about.tune) == ("mine", "1", True)
     assert parameters.choices(made)["inner.own"].source == "mine, too"
     assert parameters.idle_because(made, "inner.deep") == "mode is 'near'"
-    assert parameters.groups_of(made, Inner) == parameters.groups_of(Tree(), Inner)
+    assert parameters.groups_of(made, Inner).keys() == parameters.groups_of(Tree(), Inner).keys()
     doubled = jax.jit(lambda tree: jax.tree.map(lambda x: 2 * x, tree))(made)
     assert float(doubled.inner.plain) == 4.0
 
