@@ -5,8 +5,8 @@ and keeps the last N + 1 looks. Everything is causal, and a state of fixed size.
 
 The field is levelled by the least rotation that turns what should be up, the specific force or the attitude's
 own up, to where it is: no Euler angle is taken, so that no mounting is special. Levelled by the force, an
-error t of the attitude is left with its part about up alone, and the row of the heading is [0, 0, 1]. (Ma's
-Eq. 38, [tan θ cos ψ, tan θ sin ψ, 1], is the row of the Euler yaw, which a tilt changes, too.)
+error t of the attitude is left with its part about up alone, and the row of the heading is [0, 0, 1], as Ma
+means it. (Of the Euler yaw, which a tilt changes too, it would be [tan θ cos ψ, tan θ sin ψ, 1].)
 
 The force is taken as measured (Ma 2018, Eq. 3-5), without the filter's bias of the accelerometer: zero
 velocities, told as more certain than they are while a foot begins to lift, drive that bias to 0.1 m/s² and
