@@ -128,6 +128,7 @@ def test_it_asks_for_as_long_a_recording_as_its_aids():
     tools.same_bits((ours.estimate, ours.P), (theirs.estimate, theirs.P))
 
 
+OWN = {path: value for path, (value, _) in VALUES.items()}
 ON = {ZERO_ANGULAR_RATE: "updates.zaru", FIELD_RATE: "compass.gyroscope_rows"}
 SUBSETS = {
     "zero velocity": (ZERO_VELOCITY,),
@@ -155,7 +156,7 @@ def test_an_aid_that_is_off_costs_nothing(which):
     made = aided("made", INERTIAL, aids)
     whole = MA if MAGNETIC_HEADING in aids else IEZ
     changes = switches(aids)
-    assert program(made, known_to(made, changes)) == program(whole, known_to(whole, changes))
+    assert program(made, known_to(made, changes | OWN)) == program(whole, known_to(whole, changes))
     more = dict.fromkeys(changes, True)
     if len(aids) < len(SUBSETS["all"]) and known_to(whole, more) != known_to(whole, changes):
         assert len(program(whole, known_to(whole, more))[1]) > len(
@@ -170,8 +171,7 @@ LOOSE = {"field.ma.threshold": 170.0, "initial.attitude": 0.02, "initial.gyrosco
 def test_a_combination_of_ones_own_is_ma2018_with_the_rest_off(demos, which):
     aids = SUBSETS[which]
     made = aided("made", INERTIAL, aids)
-    own = {path: value for path, (value, _) in VALUES.items()}
-    changes = switches(aids) | LOOSE | own
+    changes = switches(aids) | LOOSE | OWN
     tracks = [pedjax.run(demos[2], s, parameters.replace(s.defaults(), changes)) for s in (made, MA)]
     ours, theirs = tracks
     assert ours.healthy
