@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import errno
+import io
 import json
 import math
 import os
@@ -84,13 +86,13 @@ def write_toml(path: Path, value: dict[str, Any], heading: str = "") -> None:
 
 
 def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
-    """CSV with a header row; numbers to nine digits."""
-    names = list(columns)
-    lines = [",".join(names)]
+    """CSV with a header row; numbers to nine digits, text with a comma or a quote in it quoted."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
     for row in zip(*columns.values(), strict=True):
-        lines.append(",".join(f"{x:.9g}" if isinstance(x, float | np.floating) else str(x) for x in row))
-    text = "\n".join(lines) + "\n"
-    atomic(path, lambda f: f.write(text.encode()))
+        writer.writerow([f"{x:.9g}" if isinstance(x, float | np.floating) else str(x) for x in row])
+    atomic(path, lambda f: f.write(text.getvalue().encode()))
 
 
 def write_figure(path: Path, figure: Any) -> None:
