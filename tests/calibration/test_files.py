@@ -62,6 +62,7 @@ def test_a_part_that_is_missing_is_the_identity(tmp_path):
         ("level_offset = [nan, 0]", "level_offset holds a number that is not finite"),
         ("matrix = [[1, 0, 0], [0, 1, 0], [0, 0, 0]]", "matrix is singular"),
         ("matrix = [[1, 0], [0]]", "matrix must hold numbers"),
+        ("matrix = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nlevel_ahead = 'up'", "level_ahead must be x, y or z"),
     ],
 )
 def test_files_that_are_refused(tmp_path, text, said):

@@ -1,5 +1,7 @@
 """Fits at the edge: refusals, warnings, the choice of a method, a walked loop from its samples."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -209,6 +211,23 @@ def test_a_walk_becomes_a_loop():
     assert fit.warnings == ()
     np.testing.assert_allclose(fit.calibration.level_offset, 0, atol=0.02)
     np.testing.assert_allclose(fit.strength, level, rtol=1e-3)
+
+
+def test_a_sensor_with_its_x_axis_up_has_another_axis_ahead():
+    """The same walk in other axes: what was x is y now, and ahead."""
+    imu, plain = walk(), fitting.walk_loop(walk())
+    axes = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    turned = dataclasses.replace(
+        imu,
+        specific_force=imu.specific_force @ axes.T,
+        angular_rate=imu.angular_rate @ axes.T,
+        magnetic_field=imu.magnetic_field @ axes.T,
+    )
+    found = fitting.walk_loop(turned)
+    assert (plain.ahead, found.ahead) == (0, 1)
+    np.testing.assert_allclose(found.points, plain.points, atol=1e-9)
+    np.testing.assert_allclose(found.turn, plain.turn, atol=1e-9)
+    assert fitting.fit_loop("walk", found).calibration.level_ahead == 1
 
 
 def test_a_walk_without_stance_or_field():

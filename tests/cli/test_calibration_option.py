@@ -51,6 +51,7 @@ def test_every_number_of_a_calibration_has_its_parameter(rng):
     assert found["compass.body.hard_y"] == made.hard_iron[1]
     assert found["compass.body.zx"] == made.matrix[2, 0]
     assert found["compass.level.offset_y"] == made.level_offset[1]
+    assert found.pop("compass.level.ahead") == "x"
     assert len(found) == 17
     for path in found:
         assert np.isfinite(parameters.get(known, path))
