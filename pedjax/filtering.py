@@ -273,14 +273,17 @@ def _apart(state: Any, which: Array) -> Any:
     return state
 
 
-@_apart.defjvp
 def _apart_with_slope(given: tuple[Any, Array], moves: tuple[Any, Any]) -> tuple[Any, Any]:
+    """What does not move is not made to: written-out derivatives take what moves as linear."""
     state, which = given
     if not on_gpu():
         one = 1.0 + jnp.abs(which[:1, None]).astype(jnp.float32)
         always = jax.lax.linalg.cholesky(one)[0, 0] > 0  # a library's: no part of a compiled loop
         state = jax.tree.map(lambda x: jnp.where(always, x, jnp.zeros_like(x)), state)
     return state, moves[0]
+
+
+_apart.defjvp(_apart_with_slope, symbolic_zeros=True)
 
 
 def _flat(x: Array, structural: int, lanes: tuple[int, ...]) -> Array:

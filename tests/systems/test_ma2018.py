@@ -21,7 +21,8 @@ from pedjax.simulation.scenarios import Scenario
 from pedjax.simulation.world import simulate
 from pedjax.systems import SYSTEMS
 from pedjax.systems.ma2018 import VALUES
-from pedjax.tuning.loop import gate_widths
+from pedjax.tuning import objective
+from pedjax.tuning.loop import gate_widths, gated
 from pedjax.walks import walk
 from tests import tools
 from tests.reference import field as naive
@@ -591,3 +592,15 @@ def test_single_precision_is_close(both, where):
     away = np.linalg.norm(single.position - double.position, axis=1).max()
     print(f"{where}: float32 is off by at most {away:.1e} m")
     assert away < 2e-3
+
+
+@pytest.mark.parametrize("name", ["compass.noise.floor", "compass.declination", "updates.zero_velocity"])
+def test_one_number_alone_has_a_gradient(plain, name):
+    """Most of the state does not move with it: what stays must not be taken for something that moves."""
+    p = parameters.cast(gated(ma(), 0.25), float)
+    batches = pack_all(MA, p, [walk(plain.recording)])
+    free = {name: jnp.zeros(1)}
+    problem = Problem(MA, "armse", "yaw_translation")
+    traced = jax.jit(objective.GRADIENTS["reverse"], static_argnums=0).trace(problem, p, free, batches)
+    gradient = jax.tree.leaves(traced.out_info[1])
+    assert [x.shape for x in gradient] == [(1,)]
