@@ -251,7 +251,7 @@ def _heading_row(q: Compass, field: Array) -> Array:
 
 _TURNED_BY = ("magnetic_heading", "field_rate")
 """Whose corrections turn the looks. A zero velocity's could, too, at a cost in each sample of stance; but it
-tells next to nothing of yaw, and no mean error over made offices differs by a centimetre."""
+tells next to nothing of yaw: over six made offices mean errors changed by 0 to 4 cm, none for the better."""
 
 
 def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any) -> State:

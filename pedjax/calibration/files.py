@@ -9,14 +9,13 @@ from typing import Any, cast
 import numpy as np
 
 from pedjax.calibration.fitting import Fit
-from pedjax.calibration.magnetometer import Calibration, uncalibrated
+from pedjax.calibration.magnetometer import AXES, Calibration, uncalibrated
 from pedjax.errors import InputError, suggest
 from pedjax.output import plain, write_toml
 from pedjax.tables import loaded
 
 _SHAPES = {"hard_iron": (3,), "matrix": (3, 3), "level_offset": (2,), "level_matrix": (2, 2)}
 _AHEAD = "level_ahead"
-_AXES = "xyz"
 _TOLD = ("method", "reason", "source", "sensor", "recorded", "field_ut", "warnings", "diagnostics")
 
 _HEADING = """magnetometer calibration, in microtesla
@@ -33,7 +32,7 @@ def write(
     told: dict[str, Any] = {
         name: np.asarray(getattr(fit.calibration, name), float).tolist() for name in _SHAPES
     }
-    told |= {_AHEAD: _AXES[fit.calibration.level_ahead]}
+    told |= {_AHEAD: AXES[fit.calibration.level_ahead]}
     told |= {"field_ut": fit.strength, "method": fit.method, "reason": fit.reason, "source": source}
     told |= {key: value for key, value in (("sensor", sensor), ("recorded", recorded)) if value}
     if fit.warnings:
@@ -56,9 +55,9 @@ def read(path: str | PathLike[str]) -> Calibration:
     start = uncalibrated()._asdict()
     values = {n: _array(path, n, raw[n]) if n in raw else np.asarray(start[n], float) for n in _SHAPES}
     ahead = raw.get(_AHEAD, "x")
-    if ahead not in tuple(_AXES):
+    if ahead not in tuple(AXES):
         raise InputError(f"{path}: {_AHEAD} must be x, y or z, a body axis; it is {ahead!r}")
-    return Calibration(**cast(Any, values), level_ahead=_AXES.index(ahead))
+    return Calibration(**cast(Any, values), level_ahead=AXES.index(ahead))
 
 
 def _array(path: Path, name: str, value: Any) -> np.ndarray:

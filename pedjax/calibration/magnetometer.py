@@ -17,6 +17,9 @@ from jax.typing import ArrayLike
 
 from pedjax.lanes import add
 
+AXES = "xyz"
+"""Names of the body axes."""
+
 
 class Calibration(NamedTuple):
     """`hard_iron (3,)` µT and `matrix (3, 3)` in body axes; `level_offset (2,)` µT and

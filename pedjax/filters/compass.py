@@ -23,7 +23,7 @@ import numpy as np
 from jax import Array
 
 from pedjax import rotations
-from pedjax.calibration.magnetometer import Calibration, corrected
+from pedjax.calibration.magnetometer import AXES, Calibration, corrected
 from pedjax.detectors.clock import StanceClock, started, tick
 from pedjax.detectors.field import Look, Window, inclination
 from pedjax.lanes import constant, dot, matvec
@@ -32,7 +32,6 @@ from pedjax.parameters import groups_of, leaf, parameters, setting
 _KIT = "kit choice"
 _MA = "Ma 2018"
 _DEGREE = 0.017453292519943295
-AXES = ("x", "y", "z")
 
 
 @parameters
@@ -40,7 +39,7 @@ class Level:
     """Calibration of the levelled field by a walked loop (Ma 2018, Eq. 6-12): W (m − o), W symmetric."""
 
     ahead: str = setting(
-        "x", choices=AXES, source=f"{_KIT}: x",
+        "x", choices=tuple(AXES), source=f"{_KIT}: x",
         meaning="Body axis whose level direction is the x of the levelled field; any that does not point up "
         "or down.",
     )  # fmt: skip
@@ -131,9 +130,8 @@ def calibrated_by(params: Any, calibration: Calibration) -> dict[str, Any]:
     is."""
     hard, matrix = np.asarray(calibration.hard_iron, float), np.asarray(calibration.matrix, float)
     offset, level = np.asarray(calibration.level_offset, float), np.asarray(calibration.level_matrix, float)
-    axes = "xyz"
-    body = {f"hard_{a}": float(hard[i]) for i, a in enumerate(axes)}
-    body |= {f"{a}{b}": float(matrix[i, j]) for i, a in enumerate(axes) for j, b in enumerate(axes)}
+    body = {f"hard_{a}": float(hard[i]) for i, a in enumerate(AXES)}
+    body |= {f"{a}{b}": float(matrix[i, j]) for i, a in enumerate(AXES) for j, b in enumerate(AXES)}
     flat: dict[str, Any] = {"offset_x": float(offset[0]), "offset_y": float(offset[1])}
     flat |= {"xx": float(level[0, 0]), "xy": float(level[0, 1]), "yy": float(level[1, 1])}
     flat |= {"ahead": AXES[calibration.level_ahead]}
