@@ -122,7 +122,7 @@ def test_nothing_made_of_steel_stands_in_the_way(made):
 
 
 def test_every_scenario_that_comes_along_loads():
-    assert len(scenarios()) == 19
+    assert {"demo", "office-loop", "mall", "teaching-building"} <= set(scenarios())
     for name in scenarios():
         assert load_scenario(name).title
 
