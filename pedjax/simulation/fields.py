@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
 import jax
@@ -482,3 +483,96 @@ def floor_magnet(
     more than half a right angle, and is hardly felt two metres on.
     """
     return Dipoles(jnp.array([[place[0], place[1], -depth]], float), jnp.array([moment], float))
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A straight stretch of a corridor from `start` to `end` (east, north) in m, in the middle of which the
+    horizontal field is turned by `turn` degrees, counter-clockwise where positive."""
+
+    start: tuple[float, float] = (0.0, 0.0)
+    end: tuple[float, float] = (0.0, 0.0)
+    turn: float = 0.0
+
+    def __post_init__(self) -> None:
+        for key in ("start", "end"):
+            value = np.asarray(getattr(self, key))
+            if value.shape != (2,) or value.dtype.kind not in "iuf":
+                raise InputError(f"stretch: {key} = {getattr(self, key)!r} must be two numbers, [x, y] in m")
+        length = math.dist(self.start, self.end)
+        if not length >= 1:
+            raise InputError(f"{self}: start and end must be at least 1 m apart and are {length:g} m")
+        if not 0 < abs(self.turn) <= 45:
+            raise InputError(f"{self}: turn = {self.turn:g} must lie between -45 and 45 degrees, but not 0")
+
+    def __str__(self) -> str:
+        return "stretch from ({:g}, {:g}) to ({:g}, {:g})".format(*self.start, *self.end)
+
+
+_FOOT = 0.1  # m, height in which the field is turned as asked
+_SPACING = 0.5  # m along a wall from one dipole to the next, or less
+_ALONG = math.cos(math.radians(30.0))
+
+
+def magnetised_walls(
+    stretches: Sequence[Stretch], background: ArrayLike, height: float = _FOOT, side: float = 2.0
+) -> Dipoles:
+    """Iron in both walls of stretches of a corridor, which turns a compass and hardly changes the strength.
+
+    Each wall is a row of dipoles, `height` m high and `side` m beside the line from start to end. Their
+    moments, alike and across the corridor, add a field T across it: even over the stretch to 5 %, gone
+    about `side` m beyond its ends, and there turned round to 5 % of it, which fades over some metres. Along
+    a horizontal field H of `background (3,)` µT a turn takes T = H tan(turn), and the strength F becomes
+    √(F² + T²). It is exact 0.1 m above the middle of each stretch, whatever the others add there. A corridor
+    across the field is refused, for there T makes the field stronger or weaker instead.
+    """
+    if not stretches:
+        raise InputError("stretches is empty; give at least one with start, end and turn")
+    if not 0.5 <= side <= 20:
+        raise InputError(f"side = {side:g} must lie between 0.5 and 20 m")
+    if not 0 <= height <= side / 2:
+        raise InputError(f"height = {height:g} must lie between 0 and half of side, {side / 2:g} m")
+    level = np.asarray(background, float)[:2]
+    size = np.linalg.norm(level)
+    if not size > 0:
+        raise InputError("the background has no horizontal field to turn; take another one")
+    rows = []
+    for stretch in stretches:
+        start, line = np.asarray(stretch.start, float), np.subtract(stretch.end, stretch.start)
+        length = np.linalg.norm(line)
+        if abs(line @ level) < _ALONG * length * size:
+            raise InputError(
+                f"{stretch}: walls turn the field only along a corridor that runs with it; "
+                f"lay start and end within 30 degrees of ({level[0] / size:.2f}, {level[1] / size:.2f})"
+            )
+        across = np.array([-line[1], line[0]]) / length
+        middle = start + np.linspace(0.0, 1.0, math.ceil(length / _SPACING) + 1)[:, None] * line
+        place = np.concatenate([middle - side * across, middle + side * across])
+        position = np.column_stack([place, np.full(len(place), height)])
+        rows.append((position, np.tile([*across, 0.0], (len(place), 1))))
+    scale = _turning(stretches, rows, level)
+    position = np.concatenate([position for position, _ in rows])
+    moment = np.concatenate([k * unit for k, (_, unit) in zip(scale, rows, strict=True)])
+    return Dipoles(jnp.asarray(position, float), jnp.asarray(moment, float))
+
+
+def _turning(
+    stretches: Sequence[Stretch], rows: Sequence[tuple[np.ndarray, np.ndarray]], level: np.ndarray
+) -> np.ndarray:
+    """By how much `(N,)` to multiply the moments of each row, positions and moments `(K, 3)`, so that in the
+    middle of each stretch nothing is left across the direction to which the field `(2,)` is turned."""
+    angle = np.radians([stretch.turn for stretch in stretches])
+    cos, sin = np.cos(angle), np.sin(angle)
+    beside = np.stack([-sin * level[0] - cos * level[1], cos * level[0] - sin * level[1]], axis=1)
+    middle = np.array([[*np.add(stretch.start, stretch.end) / 2, _FOOT] for stretch in stretches])
+    felt = np.empty((len(stretches), len(stretches)))
+    for n, (position, moment) in enumerate(rows):
+        r = middle[:, None] - position
+        square = np.sum(r**2, axis=-1, keepdims=True)
+        each = (3.0 * r * np.sum(r * moment, axis=-1, keepdims=True) / square - moment) / square**1.5
+        felt[:, n] = np.sum(_DIPOLE * each.sum(axis=1)[:, :2] * beside, axis=1)
+    own = np.abs(np.diag(felt))
+    for stretch, mine, all_of_them in zip(stretches, own, np.abs(felt).sum(axis=1), strict=True):
+        if not all_of_them < 1.5 * mine:
+            raise InputError(f"{stretch}: is too near to another one; put start and end further from it")
+    return np.linalg.solve(felt, -beside @ level)

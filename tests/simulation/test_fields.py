@@ -12,7 +12,7 @@ from pedjax.detectors.field import inclination
 from pedjax.lanes import norm
 from pedjax.simulation import fields
 from pedjax.simulation.earth import declination, homogeneous
-from pedjax.simulation.fields import Cylinders, Dipoles, Lines, Movers, compose, field_at
+from pedjax.simulation.fields import Cylinders, Dipoles, Lines, Movers, Stretch, compose, field_at
 
 MU0 = 4e-7 * math.pi * 1e6  # µT m / A
 at = jax.jit(field_at, static_argnames="mode")
@@ -472,3 +472,103 @@ def test_floor_magnet():
     assert abs(declination(over)) > np.pi / 4
     assert abs(declination(beside)) < 0.03
     assert abs(inclination(beside) - np.radians(64)) < 0.03
+
+
+WALLS = (Stretch((0, 0), (0, 8), 15.0), Stretch((3, 50), (0, 30), -30.0), Stretch((40, 20), (40, 8), 30.0))
+
+
+def along(stretch, *metres):
+    """Points `(3, K)` m from the start of a stretch on, 0.1 m high."""
+    start, end = np.array(stretch.start, float), np.array(stretch.end, float)
+    ahead = (end - start) / np.linalg.norm(end - start)
+    return np.stack([*(start + np.array(metres)[:, None] * ahead).T, np.full(len(metres), 0.1)])
+
+
+def turned(field, points):
+    """By how much the horizontal field is turned, counter-clockwise, in degrees."""
+    turn = -np.degrees(declination(at(field, points)) - declination(field.background))
+    return (np.asarray(turn) + 180.0) % 360.0 - 180.0
+
+
+def test_magnetised_walls_have_no_divergence_and_no_curl(rng):
+    walls = compose(MUNICH, fields.magnetised_walls(WALLS, MUNICH))
+    assert_source_free(derivative(walls, outside(walls, rng)))
+
+
+@pytest.mark.parametrize("facing", [0.0, 100.0, 250.0])
+def test_magnetised_walls_turn_the_field_and_keep_its_strength(facing):
+    """In the middle the turn is exact; over the stretch it is even, beyond its ends soon gone, and what the
+    field gains in strength is what a field across it adds."""
+    c, s = np.cos(np.radians(facing)), np.sin(np.radians(facing))
+    rotate = np.array([[c, -s], [s, c]])
+    background = np.array([*(rotate @ MUNICH[:2]), MUNICH[2]])
+    stretches = [Stretch(tuple(rotate @ each.start), tuple(rotate @ each.end), each.turn) for each in WALLS]
+    field = compose(background, fields.magnetised_walls(stretches, background))
+    for stretch in stretches:
+        length = math.dist(stretch.start, stretch.end)
+        middle = along(stretch, length / 2)
+        np.testing.assert_allclose(turned(field, middle), stretch.turn, atol=0.1)
+        inside = along(stretch, *np.linspace(2.0, length - 2.0, 30))
+        np.testing.assert_allclose(turned(field, inside), stretch.turn, rtol=0.04)
+        beyond = along(stretch, -10.0, length + 10.0)
+        np.testing.assert_allclose(turned(field, beyond), 0.0, atol=0.5)
+        everywhere = along(stretch, *np.linspace(-12.0, length + 12.0, 400))
+        extremes = np.sort([0.0, stretch.turn]) + abs(stretch.turn) * np.array([-0.06, 0.06])
+        assert (turned(field, everywhere) > extremes[0]).all()
+        assert (turned(field, everywhere) < extremes[1]).all()
+    for stretch in (stretches[0], stretches[2]):  # along the field
+        middle = along(stretch, math.dist(stretch.start, stretch.end) / 2)
+        across = np.linalg.norm(background[:2]) * math.tan(math.radians(stretch.turn))
+        expected = math.hypot(np.linalg.norm(background), across)
+        assert norm(at(field, middle))[0] == pytest.approx(expected, abs=0.05)
+        assert expected < 48.0 + 1.6
+
+
+def test_stretches_are_turned_as_asked_beside_each_other():
+    near = (Stretch((0, 0), (0, 8), 30.0), Stretch((0, 11), (0, 19), -20.0))
+    field = compose(MUNICH, fields.magnetised_walls(near, MUNICH))
+    for stretch in near:
+        np.testing.assert_allclose(turned(field, along(stretch, 4.0)), stretch.turn, atol=1e-6)
+    with pytest.raises(InputError, match="too near to another one; put start and end further"):
+        fields.magnetised_walls((near[0], near[0]), MUNICH)
+
+
+def test_wider_corridors_turn_the_field_more_slowly():
+    steepest = []
+    for side in (2.0, 4.0):
+        field = compose(MUNICH, fields.magnetised_walls(WALLS[2:], MUNICH, side=side))
+        turn = turned(field, along(WALLS[2], *np.linspace(-6.0, 6.0, 121)))
+        steepest.append(np.abs(np.diff(turn)).max() / 0.1)
+    assert steepest[1] == pytest.approx(steepest[0] / 2, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"stretches": ()}, "stretches is empty; give at least one"),
+        (
+            {"stretches": [Stretch((0, 0), (8, 0), 15.0)]},
+            r"lay start and end within 30 degrees of \(0.00, 1.00\)",
+        ),
+        ({"side": 0.1}, "side = 0.1 must lie between"),
+        ({"height": 1.5}, "height = 1.5 must lie between 0 and half of side, 1 m"),
+        ({"background": homogeneous("north_pole")}, "no horizontal field to turn; take another"),
+    ],
+)
+def test_impossible_walls_are_refused(change, message):
+    with pytest.raises(InputError, match=message):
+        fields.magnetised_walls(**{"stretches": WALLS, "background": MUNICH, **change})
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (((0, 0), (0, 8), 60.0), r"from \(0, 0\) to \(0, 8\): turn = 60 must lie between -45 and 45"),
+        (((0, 0), (0, 8)), "turn = 0 must lie"),
+        (((0, 0), (0, 0.5), 15.0), "start and end must be at least 1 m apart and are 0.5 m"),
+        (((0, 0), (0, 8, 1), 15.0), r"end = \(0, 8, 1\) must be two numbers"),
+    ],
+)
+def test_impossible_stretches_are_refused(given, message):
+    with pytest.raises(InputError, match=message):
+        Stretch(*given)
