@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pedjax.errors import InputError, suggest
+from pedjax.simulation.fields import Stretch
 from pedjax.simulation.footsteps import Leg
 from pedjax.simulation.motion import MOUNTINGS
 from pedjax.simulation.presets import PRESETS
@@ -25,6 +26,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "building": ("style", "strength"),
     "street": ("tiles", "first", "mode"),
     "floor_magnet": ("place", "depth", "moment"),
+    "magnetised_walls": ("stretches", "height", "side"),
 }
 """Kinds of magnetic field, and what each takes beside."""
 
@@ -90,6 +92,22 @@ def load_scenario(name: str | Path) -> Scenario:
     return filled(Scenario, {"name": path.stem, **raw, "legs": made}, str(path))
 
 
+def stretches_of(field: Mapping[str, Any], where: str) -> tuple[Stretch, ...]:
+    """The stretches of a field of magnetised walls."""
+    given = field.get("stretches", ())
+    if not isinstance(given, list | tuple) or not given or not all(isinstance(x, Mapping) for x in given):
+        one = "{ start = [0, 10], end = [0, 20], turn = 15 }"
+        raise InputError(f"{where}: field 'magnetised_walls' needs stretches = [{one}], one or more")
+    return tuple(filled(Stretch, x, f"{where}: stretch {n}") for n, x in enumerate(given, 1))
+
+
+def _check_walls(field: Mapping[str, Any], where: str) -> None:
+    stretches_of(field, where)
+    for key in ("height", "side"):
+        if type(field.get(key, 1.0)) not in (int, float):
+            raise InputError(f"{where}: field.{key} = {field[key]!r} must be a number, in m")
+
+
 def _check(scenario: Scenario) -> None:
     where = f"scenario '{scenario.name}'"
     if not 10 <= scenario.rate_hz <= 2000:
@@ -118,6 +136,8 @@ def _check(scenario: Scenario) -> None:
     for key in scenario.field:
         if key != "kind" and key not in FIELDS[kind]:
             raise InputError(f"{where}: field '{kind}' takes no '{key}'{suggest(key, FIELDS[kind])}")
+    if kind == "magnetised_walls":
+        _check_walls(scenario.field, where)
     for key, value in scenario.iron.items():
         shape = {"hard": (3,), "soft": (3, 3), "platform": (3,), "floor": (3,)}.get(key)
         if shape is None:

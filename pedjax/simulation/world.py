@@ -19,7 +19,7 @@ from pedjax.simulation.footsteps import GAITS, Leg, Plan, footsteps
 from pedjax.simulation.labels import stance_middles
 from pedjax.simulation.motion import Motion, motion, standing
 from pedjax.simulation.presets import calibrated, preset
-from pedjax.simulation.scenarios import Scenario, load_scenario
+from pedjax.simulation.scenarios import Scenario, load_scenario, stretches_of
 from pedjax.simulation.truth import SensorTruth
 
 _PASSING = 2.0
@@ -120,6 +120,9 @@ def field_of(scenario: Scenario, plan: Plan, seed: int) -> Field:
         return fields.street_template(**given)
     if kind == "floor_magnet":
         return fields.compose(munich, fields.floor_magnet(**given))
+    if kind == "magnetised_walls":
+        given["stretches"] = stretches_of(given, f"scenario '{scenario.name}'")
+        return fields.compose(munich, fields.magnetised_walls(background=munich, **given))
     if kind == "earth":
         return fields.compose(
             earth.earth(given["latitude"], given["longitude"], given.get("height", 0.0), given["date"])

@@ -8,10 +8,11 @@ import pytest
 import pedjax
 from pedjax.cli import main
 from pedjax.errors import InputError
-from pedjax.simulation.footsteps import Leg
+from pedjax.simulation.fields import field_at
+from pedjax.simulation.footsteps import Leg, footsteps
 from pedjax.simulation.labels import quasi_static
 from pedjax.simulation.scenarios import Scenario, load_scenario, scenarios
-from pedjax.simulation.world import simulate
+from pedjax.simulation.world import field_of, simulate
 
 SMALL = Scenario(
     name="small",
@@ -21,6 +22,7 @@ SMALL = Scenario(
     landmarks=((0.0, 0.0), (8.0, 5.0)),
     survey_m=0.5,
 )
+WALL = {"start": [0.0, 0.0], "end": [0.0, 8.0], "turn": 15.0}
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +97,35 @@ def test_a_homogeneous_field_is_quasi_static_and_a_magnet_is_not():
     assert label[3:][away[3:] > 9.0].all()
 
 
+def test_magnetised_walls_turn_the_field_on_the_way():
+    corridor = (Leg(points=((0.0, 0.0), (0.0, 30.0))),)
+    stretch = {"start": [0, 10], "end": [0, 20], "turn": 20}
+    walls = {"kind": "magnetised_walls", "stretches": [stretch]}
+    plain = replace(SMALL, legs=corridor, landmarks=(), survey_m=0.0, sensors={"foot": "mti_g_710"})
+    truth = simulate(replace(plain, field=walls), 1).truth["foot"]
+    east, north, _ = truth.magnetic_field[truth.stance].T
+    place, turn = truth.motion.position[truth.stance, 1], np.degrees(np.arctan2(-east, north))
+    np.testing.assert_allclose(turn[(place > 12.0) & (place < 18.0)], 20.0, atol=1.0)
+    np.testing.assert_allclose(turn[(place < 6.0) | (place > 24.0)], 0.0, atol=1.0)
+    assert np.ptp(np.linalg.norm(truth.magnetic_field, axis=1)) < 1.0
+
+
+def test_the_turned_field_has_calm_corridors_between_its_stretches():
+    scenario = load_scenario("turned-field")
+    plan = footsteps(scenario.legs, 0, scenario.standing_s)
+    field = field_of(scenario, plan, 0)
+    made = scenario.field["stretches"]
+    assert [each["turn"] for each in made] == [15.0, 15.0, 30.0, 30.0]
+    middles = np.array([[*np.add(each["start"], each["end"]) / 2, 0.1] for each in made])
+    east, north, _ = np.asarray(field_at(field, middles.T))
+    np.testing.assert_allclose(np.degrees(np.arctan2(-east, north)), [15, 15, 30, 30], atol=0.1)
+    for x in (0.0, 30.0):
+        ends = sorted(
+            y for each in made for end in (each["start"], each["end"]) for y in end[1:] if end[0] == x
+        )
+        assert np.diff([0.0, *ends, 70.0])[::2].min() >= 12.0
+
+
 def test_what_acts_in_stance_acts_in_stance_only():
     plain = replace(
         SMALL, field={"kind": "munich"}, landmarks=(), survey_m=0.0, sensors={"foot": "mti_g_710"}
@@ -132,8 +163,6 @@ def test_every_scenario_that_comes_along_loads():
     [("office-loop", 1018.0, 786), ("mall", 2480.0, 1920), ("teaching-building", 515.5, None)],
 )
 def test_published_lengths(name, length, strides):
-    from pedjax.simulation.footsteps import footsteps
-
     scenario = load_scenario(name)
     plan = footsteps(scenario.legs * scenario.rounds, 0, scenario.standing_s)
     walked = np.linalg.norm(np.diff(plan.route[:, :2], axis=0), axis=1).sum()
@@ -153,6 +182,15 @@ def test_published_lengths(name, length, strides):
         ({"rounds": 0}, "rounds = 0"),
         ({"legs": ()}, "has no legs"),
         ({"calibrated": 2.0}, "calibrated = 2"),
+        ({"field": {"kind": "magnetised_walls"}}, r"needs stretches = \[\{ start = "),
+        (
+            {"field": {"kind": "magnetised_walls", "stretches": [{"turns": 3}]}},
+            "stretch 1: .*did you mean 'turn'",
+        ),
+        (
+            {"field": {"kind": "magnetised_walls", "stretches": [WALL], "side": "2"}},
+            "field.side = '2' must be",
+        ),
         ({"iron": {"medium": 1}}, "iron.medium is unknown"),
     ],
 )
