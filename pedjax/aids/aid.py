@@ -34,14 +34,16 @@ class Seen(NamedTuple):
 
 class Measured(NamedTuple):
     """What an aid makes of a sample: its next `state`, `rows` to be updated with (None: nothing) and how much
-    of their information counts, `weight (*L)` in [0, 1]; its gate, where it has one; and what else is to be
-    told, to later aids and to the user."""
+    of their information counts, `weight (*L)` in [0, 1]; its gate, where it has one; what else is to be
+    told, to later aids and to the user; and where it does not measure but decides, the covariance and the
+    correction by state that it `moved` the filter by, which is done before the rows count."""
 
     state: Any
     rows: Rows | None
     weight: Array | None
     gated: Gated | None = None
     more: dict[str, Array] = {}  # noqa: RUF012
+    moved: tuple[Covariance, dict[str, Array]] | None = None
 
 
 def _no_state(

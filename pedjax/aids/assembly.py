@@ -92,19 +92,23 @@ def aided(
         more: dict[str, Array] = {}
         for aid in (aid for aid in aids if aid.is_on(p)):
             seen = Seen(estimate, P, sensor, sample.own[aid.name], gates, more)
-            states[aid.name], rows, weight, gated, said = aid.step(p, site, states[aid.name], seen)
+            states[aid.name], rows, weight, gated, said, moved = aid.step(p, site, states[aid.name], seen)
             if aid.gate is not None:
                 assert gated is not None
                 gates[aid.gate] = gated
             more |= said
-            if rows is None:
-                continue
-            assert weight is not None
-            P, correction = kalman.update(P, rows, weight)
-            estimate = filter.correct(estimate, correction)
-            for other in aids:
-                if other.name in states:
-                    states[other.name] = other.after(p, states[other.name], aid.name, correction, estimate)
+            changes = [] if moved is None else [moved]
+            if moved is not None:
+                P = moved[0]
+            if rows is not None:
+                assert weight is not None
+                changes.append(kalman.update(P, rows, weight))
+            for P, correction in changes:
+                estimate = filter.correct(estimate, correction)
+                for other in aids:
+                    if other.name in states:
+                        told = states[other.name], aid.name, correction, estimate
+                        states[other.name] = other.after(p, *told)
         sound = jnp.isfinite(jnp.sum(estimate.position, 0)) & covariance.is_positive(P)
         status = jnp.where(sound, Status.HEALTHY, Status.DIVERGED).astype(jnp.int32)
         sigma = {field: covariance.sigma(P, letter) for field, letter in filter.states}

@@ -20,11 +20,12 @@ from jax.typing import ArrayLike
 from pedjax import rotations
 from pedjax.aids.aid import Aid, Measured, Seen
 from pedjax.detectors import field as detectors
-from pedjax.filters import compass, hard_iron, kalman, measurements
-from pedjax.filters.compass import Body, HeadingNoise, Level, Looking, Looks
+from pedjax.filters import compass, hard_iron, kalman, measurements, rivals
+from pedjax.filters.compass import Body, Foot, HeadingNoise, Level, Looking, Looks
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Opening, still_mean
 from pedjax.filters.hard_iron import TrackerParameters
+from pedjax.filters.rivals import RivalParameters, Rivals
 from pedjax.gates import gate
 from pedjax.lanes import align, constant, lane_shape, matmul
 from pedjax.parameters import group, leaf, parameters, setting
@@ -80,6 +81,11 @@ class Compass:
         meaning="Which strength and inclination count as undisturbed: the running mean of the looks, or "
         "those given.",
     )  # fmt: skip
+    recovery: str = setting(
+        "none", choices=("none", "rivals"), source="none: published",
+        meaning="What happens where looks keep saying that the yaw is wrong: nothing, or a rival heading is "
+        "kept beside and takes over once it is the likelier.",
+    )  # fmt: skip
     gyroscope_rows: bool = setting(
         False, source="Afzal 2011: option",
         meaning="Whether a quasi-static field in stance also corrects the gyroscope's bias by how the "
@@ -119,6 +125,7 @@ class Compass:
     level: Level = group(Level)
     noise: HeadingNoise = group(HeadingNoise)
     tracker: Tracker = group(Tracker, when={"hard_iron": "tracked"})
+    rival: RivalParameters = group(RivalParameters, when={"recovery": "rivals", "update": "heading"})
 
     def north(self) -> Array:
         """The azimuth of the undisturbed horizontal field, rad counter-clockwise from east."""
@@ -131,13 +138,17 @@ class Compass:
 
     def only_looking(self) -> Compass:
         """The same looks, of which nothing is made: no detector has a say in what it is given."""
-        return replace(self, update="none", gyroscope_rows=False, looking=self.looks())
+        return replace(self, update="none", gyroscope_rows=False, recovery="none", looking=self.looks())
+
+    def recovers(self) -> bool:
+        """Whether rival headings are kept."""
+        return self.recovery == "rivals" and self.update == "heading"
 
 
 class State(NamedTuple):
     """The looks at the field; whether it was `quasi`-static at the last one; the `anchor (3, *L)` that it is
     compared with; the `reference (2, *L)` strength and inclination; the field `before` `(3, *L)` in body
-    axes; and the `tracker` of hard iron, if there is one."""
+    axes; the `tracker` of hard iron, and the `rivals` of the heading, if there are such."""
 
     looks: Looks
     quasi: Array
@@ -145,6 +156,7 @@ class State(NamedTuple):
     reference: Array
     before: Array
     tracker: hard_iron.State | tuple[()]
+    rivals: Rivals | tuple[()]
 
 
 def _prepare(p: Any, signals: Signals, dt: Array, rate_hz: float, length: ArrayLike | None) -> Any:
@@ -176,7 +188,8 @@ def _start(p: Any, site: Any, opening: Opening, nav: Any, P: Covariance) -> tupl
         P = P | {"tt": P["tt"].at[2, 2].set(p.compass.start_sigma**2 + shown + 0 * like)}
     looks = compass.first(nav.attitude, p.field.window)
     tracker = hard_iron.start(p.compass.tracker, mag) if p.compass.hard_iron == "tracked" else ()
-    return State(looks, like, jnp.zeros_like(mag), reference, mag, tracker), nav, P
+    others = rivals.none(p.compass.rival, nav.position) if p.compass.recovers() else ()
+    return State(looks, like, jnp.zeros_like(mag), reference, mag, tracker, others), nav, P
 
 
 def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
@@ -193,10 +206,11 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
         tracker = hard_iron.step(q.tracker, tracker, late, mag, dt)
         mag = mag - tracker.offset
 
-    looks, now = compass.look(q.looks(), q.level, state.looks, nav.attitude, force, mag, dt, stance)
+    foot = Foot(nav.attitude, P["tt"][2, 2], force, mag, dt, stance)
+    looks, now = compass.look(q.looks(), q.level, state.looks, foot)
     seen = looks.window[-1]
     ratio = detectors.log_ratio(p.field, looks.window, north)
-    whole = jnp.where(looks.many > p.field.window, 1.0, 0.0)
+    whole = jnp.where(looks.follow > p.field.window, 1.0, 0.0)
     quasi = whole * gate(ratio, p.field.width, p.field.straight_through)
     begins = (now > 0) & (quasi > 0.5) & (state.quasi <= 0.5)
     anchor = jnp.where(begins, looks.window[0].field, state.anchor)
@@ -221,6 +235,16 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
         if q.update == "anchored":  # only while the anchor is of this quasi-static stretch
             weight = jnp.where(begins | (state.quasi > 0.5), weight, 0.0)
     quasi = jnp.where(now > 0, quasi, state.quasi)
+    others, moved = state.rivals, None
+    if isinstance(others, Rivals):
+        once = now * jnp.where(looks.follow == p.field.window + 1, 1.0, 0.0)  # of a stance, one look
+        once = now if q.looking.per == "step" else once
+        odd = detectors.strength(seen.field) - state.reference[0]
+        look = rivals.Look(once, innovation, sigma * sigma, P["tt"][2, 2], odd, nav.position)
+        others, best, over = rivals.judged(q.rival, others, look, dt)
+        others = rivals.left(q.rival, others, best, over, P["tt"][2, 2])
+        moved = rivals.taken_over(P, best, over, nav.position, nav.velocity)
+        weight = (1 - over) * weight
     reference = state.reference
     if q.reference == "running":
         share = now / jnp.minimum(looks.many + 1.0, 50.0)
@@ -237,9 +261,11 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
     }
     if isinstance(tracker, hard_iron.State):
         more |= {"hard_iron": tracker.offset, "hard_iron_sigma": hard_iron.sigma(tracker)}
-    state = State(looks, quasi, anchor, reference, more["body_field"], tracker)
+    if isinstance(others, Rivals):
+        more |= {"rival_turn": others.fresh.turn, "rival_odds": others.fresh.odds, "took_over": over}
+    state = State(looks, quasi, anchor, reference, more["body_field"], tracker, others)
     gated = Gated(weight, jnp.where(whole > 0, ratio, 10.0))
-    return Measured(state, rows, weight, gated, more)
+    return Measured(state, rows, weight, gated, more, moved)
 
 
 def _heading_row(q: Compass, field: Array) -> Array:
@@ -249,15 +275,19 @@ def _heading_row(q: Compass, field: Array) -> Array:
     return measurements.azimuth_row(field)
 
 
-_TURNED_BY = ("magnetic_heading", "field_rate")
-"""Whose corrections turn the looks. A zero velocity's could, too, at a cost in each sample of stance; but it
+_NOT_TURNED_BY = ("zero_velocity", "zero_angular_rate")
+"""Whose corrections do not turn the looks. They could, at a cost in each sample of stance; but a zero velocity
 tells next to nothing of yaw: over six made offices mean errors changed by 0 to 4 cm, none for the better."""
 
 
 def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any) -> State:
-    if by not in _TURNED_BY:
+    if by in _NOT_TURNED_BY:
         return state
-    return state._replace(looks=compass.turned(state.looks, correction["t"], p.compass.looks().levelling))
+    others = state.rivals
+    if isinstance(others, Rivals):
+        others = rivals.turned(others, correction["t"][2])
+    looks = compass.turned(state.looks, correction["t"], p.compass.looks().levelling)
+    return state._replace(looks=looks, rivals=others)
 
 
 MAGNETIC_HEADING = Aid(

@@ -43,9 +43,8 @@ def tick(
     moving = jnp.where(still > 0.5, 0.0, clock.moving + dt)
     half = 0.5 * dt  # borders between samples, not on them: the same moments in any precision
     ended = moving > gap_s + half
-    over = ended | always
     seconds = jnp.where(ended, 0.0, clock.seconds) + still * dt
-    used = jnp.where(over, 0.0, clock.used)
+    used = jnp.where(ended | always, 0.0, clock.used)
     enough = (still > 0.5) if always else (seconds + half >= dwell_s)
     now = jnp.where(enough & (used < 0.5) & (dt > 0), 1.0, 0.0)
-    return StanceClock(seconds, moving, jnp.maximum(used, now), clock.time + dt), Tick(over, now)
+    return StanceClock(seconds, moving, jnp.maximum(used, now), clock.time + dt), Tick(ended, now)

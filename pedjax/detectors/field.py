@@ -46,11 +46,12 @@ _DEGREE = 0.017453292519943295
 
 class Look(NamedTuple):
     """One look at the field: `field (3, *L)` µT in navigation axes, `yaw (*L)` rad of the inertial attitude,
-    and `time (*L)` s."""
+    `time (*L)` s, and the `variance (*L)` rad² of that yaw, as far as the filter knew."""
 
     field: Array
     yaw: Array
     time: Array
+    variance: Array
 
 
 Window = tuple[Look, ...]
@@ -221,6 +222,44 @@ class Ma:
 
 
 @parameters
+class Aiez:
+    """AIEZ (Zhang, Guo and Liu, Eq. 8-18): the difference between magnetic and inertial heading itself, and
+    the change of strength,
+
+        T = (1/N) Σ [e²/(σ_ψ² + P_ψψ) + (Δ‖B‖)²/σ_B²],
+
+    so that a field that is steady and wrong, as above a magnet in the floor, does not pass. Printed as the
+    strength, s^B is its rate of change: under H1 it is zero. p(y^B) is printed with σ_Δψ; σ_B is meant.
+
+    The paper has no P_ψψ: once the filter's yaw is off by more than σ_ψ √γ no heading passes ever again. With
+    it the gate is as wide as the yaw is unsure, which the filter must know to be of use; a yaw that is wrong
+    and thought right needs a rival (`compass.rival`).
+    """
+
+    threshold: Array = leaf(
+        6.0, unit="1", low=1e-3, high=1e6, source=_KIT, tune=True, point=True,
+        meaning="Statistic of AIEZ's test below which the field is pure; raised, more looks pass, "
+        "disturbed ones too.",
+    )  # fmt: skip
+    sigma_heading: Array = leaf(
+        0.1, unit="rad", low=1e-5, high=3.0, source=_KIT, tune=True,
+        meaning="Usual difference of magnetic and inertial heading in a pure field; raised, larger "
+        "differences pass.",
+    )  # fmt: skip
+    sigma_strength: Array = leaf(
+        1.5, unit="uT", low=1e-4, high=1e4, source=_KIT, tune=True,
+        meaning="Usual change of strength in a pure field (per second: in uT/s, as the sensor's noise makes "
+        "it); raised, changes count for less and more looks pass.",
+    )  # fmt: skip
+    yaw_variance: bool = setting(
+        True, source=f"{_KIT}; Zhang: without",
+        meaning="Whether the filter's own variance of yaw widens the test.",
+    )  # fmt: skip
+    form: str = _form("energy", "Zhang")
+    per: str = _per()
+
+
+@parameters
 class Vector:
     """The change of the whole vector from one look to the next against its own covariance, the worst of the
     window: Δᵀ Σ⁻¹ Δ with Σ = 2 σ² I + [B×] diag(τ², τ², ψ²) [B×]ᵀ, which is χ² of three where the field is
@@ -303,6 +342,16 @@ def _ma(p: Ma, window: Window, north: Array) -> Array:
     return log_positive(t) - jnp.log(p.threshold)
 
 
+def _aiez(p: Aiez, window: Window, north: Array) -> Array:
+    y_heading = []
+    for look in window[1:]:
+        known = p.sigma_heading**2 + (look.variance if p.yaw_variance else 0.0)
+        y_heading.append(rotations.wrap(north - azimuth(look.field)) / jnp.sqrt(known))
+    y_strength = _changes(window, lambda look: strength(look.field), p.per)
+    t = _mean_or_energy(y_heading, p.form) + _mean_or_energy(y_strength, p.form) / p.sigma_strength**2
+    return log_positive(t) - jnp.log(p.threshold)
+
+
 def _vector(p: Vector, window: Window, north: Array) -> Array:
     field = add(look.field for look in window) / len(window)
     across = rotations.skew(field)
@@ -344,7 +393,8 @@ def normal_quantile(probability: Array) -> Array:
 
 
 FIELD_DETECTORS: dict[str, Callable[[Any, Window, Array], Array]] = {
-    "qsf": _qsf, "qmd": _qsf, "magyq": _magyq, "iqsf": _iqsf, "ma": _ma, "vector": _vector,
+    "qsf": _qsf, "qmd": _qsf, "magyq": _magyq, "iqsf": _iqsf, "ma": _ma, "aiez": _aiez,
+    "vector": _vector,
 }  # fmt: skip
 """`(parameters, window, north) -> log of statistic over threshold (*L)`."""
 
@@ -375,6 +425,7 @@ class FieldParameters(SoftGate):
     magyq: Magyq = group(Magyq, when={"detector": "magyq"})
     iqsf: Iqsf = group(Iqsf, when={"detector": "iqsf"})
     ma: Ma = group(Ma, when={"detector": "ma"})
+    aiez: Aiez = group(Aiez, when={"detector": "aiez"})
     vector: Vector = group(Vector, when={"detector": "vector"})
 
 

@@ -176,22 +176,24 @@ class Looking:
 
 class Looks(NamedTuple):
     """What is remembered: the `total (3, *L)` µT s of the field in this stance so far, and the `seconds (*L)`
-    of it that count, the `clock` of stances, the last looks in `window`, how `many` there are, and the
-    `first` attitude `(3, 3, *L)`, from which yaw is counted."""
+    of it that count, the `clock` of stances, the last looks in `window`, how `many` there were, how many of
+    them `follow` each other (at every still sample: in one stance), and the `first` attitude `(3, 3, *L)`,
+    from which yaw is counted."""
 
     total: Array
     seconds: Array
     clock: StanceClock
     window: Window
     many: Array
+    follow: Array
     first: Array
 
 
 def first(attitude: Array, steps: int) -> Looks:
     """Nothing seen yet, by a foot of that `attitude (3, 3, *L)`."""
     like = jnp.zeros_like(attitude[0, 0])
-    none = Look(jnp.zeros_like(attitude[0]), like, like)
-    return Looks(none.field, like, started(like), (none,) * (steps + 1), like, attitude)
+    none = Look(jnp.zeros_like(attitude[0]), like, like, like)
+    return Looks(none.field, like, started(like), (none,) * (steps + 1), like, like, attitude)
 
 
 def levelled(attitude: Array, up: Array, mag: Array, level: Level) -> Array:
@@ -208,26 +210,40 @@ def levelled(attitude: Array, up: Array, mag: Array, level: Level) -> Array:
     return ahead * (x - x[2] * bend) + left * (y - y[2] * bend) + dot(z, mag) * vertical
 
 
-def look(
-    p: Looking, level: Level, state: Looks, attitude: Array, force: Array, mag: Array, dt: Array, still: Array
-) -> tuple[Looks, Array]:
-    """Gather the field while the foot is `still (*L)`; returns the state and whether it looked just now
-    `(*L)`, 0 or 1. `force (3, *L)` is what the accelerometer reads."""
+class Foot(NamedTuple):
+    """What a foot is told at a sample of `dt (*L)` s: its `attitude (3, 3, *L)`, the `variance (*L)` rad² of
+    its yaw, the `force (3, *L)` that the accelerometer reads, the field `mag (3, *L)` in body axes, and how
+    far it is `still (*L)`."""
+
+    attitude: Array
+    variance: Array
+    force: Array
+    mag: Array
+    dt: Array
+    still: Array
+
+
+def look(p: Looking, level: Level, state: Looks, foot: Foot) -> tuple[Looks, Array]:
+    """Gather the field while the foot is still; returns the state and whether it looked just now `(*L)`, 0 or
+    1."""
+    attitude, variance, force, mag, dt, still = foot
     always = p.per == "sample"
     here = levelled(attitude, force if p.levelling == "force" else attitude[2], mag, level)
     clock, (over, now) = tick(state.clock, still, dt, p.settle_s + p.dwell_s, p.gap_s, always)
     settled = clock.seconds + 0.5 * dt >= p.settle_s
     now = jnp.where(settled, now, 0.0)
     part = jnp.where(settled, still * dt, 0.0)
-    total = jnp.where(over, 0.0, state.total) + part * here
-    seconds = jnp.where(over, 0.0, state.seconds) + part
-    seen = Look(total / jnp.maximum(seconds, 1e-6), _yaw(attitude, state.first), clock.time)
+    anew = over | always
+    total = jnp.where(anew, 0.0, state.total) + part * here
+    seconds = jnp.where(anew, 0.0, state.seconds) + part
+    seen = Look(total / jnp.maximum(seconds, 1e-6), _yaw(attitude, state.first), clock.time, variance)
     shifted = (*state.window[1:], seen)
     window = tuple(
         Look(*(jnp.where(now > 0, new, old) for new, old in zip(a, b, strict=True)))
         for a, b in zip(shifted, state.window, strict=True)
     )
-    return Looks(total, seconds, clock, window, state.many + now, state.first), now
+    follow = (jnp.where(over, 0.0, state.follow) if always else state.follow) + now
+    return Looks(total, seconds, clock, window, state.many + now, follow, state.first), now
 
 
 def _yaw(attitude: Array, first: Array) -> Array:
@@ -244,7 +260,7 @@ def turned(state: Looks, correction: Array, how: str) -> Looks:
     if how == "force":
         correction = yaw * constant(np.array([0.0, 0.0, 1.0]), yaw)
     turn = rotations.exp(correction)
-    window = tuple(Look(matvec(turn, x.field), x.yaw + yaw, x.time) for x in state.window)
+    window = tuple(x._replace(field=matvec(turn, x.field), yaw=x.yaw + yaw) for x in state.window)
     return state._replace(window=window, total=matvec(turn, state.total))
 
 

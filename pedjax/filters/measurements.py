@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from pedjax import rotations
 from pedjax.filters.kalman import Rows
 from pedjax.filters.strapdown import Navigation
-from pedjax.lanes import eye, matmul, matmul_t, matvec
+from pedjax.lanes import constant, eye, hypotenuse, matmul, matmul_t, matvec, norm
 from pedjax.rotations import skew
 
 
@@ -38,6 +41,43 @@ def heading(innovation: Array, row: Array, sigma: Array) -> Rows:
     """Heading: z = true − estimated `(*L)` in rad, H = h `(1, 3, *L)` on t (Ma 2018, Eq. 35-38)."""
     z = (innovation * jnp.ones_like(row[0, 0]))[None]
     return Rows(z, (sigma * sigma * jnp.ones_like(z[0]))[None, None], {"t": row})
+
+
+def level(nav: Navigation, force: Array, sigma: Array) -> Rows:
+    """Tilt by the specific force `force (3, *L)` of a body at rest, `sigma (*L)` rad: turned into navigation
+    axes and of length 1 it is (−t_y, t_x, 1), so that z = (f_y, −f_x), H = [I 0] on t. No Euler angles."""
+    up = matvec(nav.attitude, force)
+    size = norm(force, small=1e-12)
+    z = jnp.stack([up[1] / size, -up[0] / size])
+    H = constant(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), z[0]) + 0 * z[0]
+    return Rows(z, sigma * sigma * eye(2, z[0]) + 0 * z[0], {"t": H})
+
+
+def euler_block(attitude: Array) -> Array:
+    """M `(3, 3, *L)` with δ(roll, pitch, yaw) = M t for an error t of the `attitude (3, 3, *L)` in navigation
+    axes: [[cos ψ/cos θ, sin ψ/cos θ, 0], [−sin ψ, cos ψ, 0], [tan θ cos ψ, tan θ sin ψ, 1]]. (Zhang, Eq. 29,
+    prints the identity.) Unbounded at θ = ±90 degrees, where it is cut off."""
+    level = hypotenuse(attitude[0, 0], attitude[1, 0], small=1e-6)  # cos θ
+    cos, sin = attitude[0, 0] / level, attitude[1, 0] / level
+    tan, none = -attitude[2, 0] / level, 0 * level
+    return jnp.stack(
+        [
+            jnp.stack([cos / level, sin / level, none]),
+            jnp.stack([-sin, cos, none]),
+            jnp.stack([tan * cos, tan * sin, none + 1]),
+        ]
+    )
+
+
+def euler(nav: Navigation, angles: Sequence[Array], sigma: Array, printed: bool = False) -> Rows:
+    """Roll, pitch and, if three are given, yaw as measured, `angles (*L)` rad, with `sigma (*L)` rad (Zhang,
+    Eq. 22, 29-31): z = wrap(measured − estimated), H = the first rows of `euler_block` on t; or, as
+    `printed`, of the identity."""
+    count = len(angles)
+    found = rotations.to_euler(nav.attitude)
+    z = jnp.stack([rotations.wrap(x - found[k]) for k, x in enumerate(angles)])
+    block = eye(3, z[0]) + 0 * z[0] if printed else euler_block(nav.attitude)
+    return Rows(z, sigma * sigma * eye(count, z[0]) + 0 * z[0], {"t": block[:count]})
 
 
 def same_field(field: Array, anchor: Array, sigma: Array) -> Rows:

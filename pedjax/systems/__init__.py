@@ -9,10 +9,11 @@ from pedjax.aids.assembly import aided
 from pedjax.errors import InputError, suggest
 from pedjax.filters.inertial import INERTIAL
 from pedjax.system import System
+from pedjax.systems.aiez import AIEZ
 from pedjax.systems.iez import IEZ
 from pedjax.systems.ma2018 import MA2018
 
-SYSTEMS: dict[str, System] = {each.name: each for each in (IEZ, MA2018)}
+SYSTEMS: dict[str, System] = {each.name: each for each in (IEZ, MA2018, AIEZ)}
 
 _OURS = frozenset(SYSTEMS)
 
