@@ -242,12 +242,12 @@ class Aiez:
         "disturbed ones too.",
     )  # fmt: skip
     sigma_heading: Array = leaf(
-        0.1, unit="rad", low=1e-5, high=3.0, source=_KIT, tune=True,
+        0.07, unit="rad", low=1e-5, high=3.0, source=_KIT, tune=True,
         meaning="Usual difference of magnetic and inertial heading in a pure field; raised, larger "
         "differences pass.",
     )  # fmt: skip
     sigma_strength: Array = leaf(
-        1.5, unit="uT", low=1e-4, high=1e4, source=_KIT, tune=True,
+        3.0, unit="uT", low=1e-4, high=1e4, source=_KIT, tune=True,
         meaning="Usual change of strength in a pure field (per second: in uT/s, as the sensor's noise makes "
         "it); raised, changes count for less and more looks pass.",
     )  # fmt: skip

@@ -20,7 +20,7 @@ VALUES = {
     "field.detector": ("aiez", "Zhang"),
     "field.window": (1, "kit choice: a look is tested by itself; Zhang: N is not printed"),
     "compass.looking.levelling": ("attitude", "kit choice; Zhang, Eq. 20-24: force"),
-    "compass.noise.floor": (0.1, "kit choice"),
+    "compass.noise.floor": (0.07, "kit choice"),
     "compass.recovery": ("rivals", "kit choice; Zhang has none"),
     "heuristic.form": ("slope", "kit choice; Zhang: hdr"),
 }
