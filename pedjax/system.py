@@ -41,8 +41,9 @@ class Inputs(NamedTuple):
     """What a system's `prepare` makes of a recording.
 
     `samples` is a tree with time first and the lanes, if any, last; `opening` is what the start is made of, a
-    stretch of the first samples, time first too, in which rows with dt = 0 are padding. Neither depends on a
-    tunable number, so that every parameter set of a sweep shares them.
+    stretch of the first samples, time first too, in which rows with dt = 0 are padding, and what was measured
+    of a longer one, without time. Neither depends on a tunable number, so that every parameter set of a sweep
+    shares them.
     """
 
     samples: Any

@@ -18,6 +18,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from pedjax.aids.aid import Aid, Seen
+from pedjax.detectors.rest import standing_start
 from pedjax.errors import InputError
 from pedjax.filters import covariance, kalman
 from pedjax.filters.covariance import Covariance
@@ -73,7 +74,9 @@ def aided(
         first, still = (max(round(s * rate_hz), 1) for s in (seconds, levelling_s))
         field = None if signals.field is None else signals.field[:first]
         levels = (jnp.arange(dt[:first].shape[0]) < still).astype(dt.dtype)
-        opening = Opening(dt[:first], signals.force[:first], signals.rate[:first], field, levels)
+        rest_s = filter.rest_s(p)
+        rest = standing_start(signals.rate, dt, rate_hz, rest_s, length) if rest_s else None
+        opening = Opening(dt[:first], signals.force[:first], signals.rate[:first], field, levels, rest)
         return Inputs(AidedSample(Sample(dt, signals.force, signals.rate, signals.field), own), opening)
 
     def start(p: Any, site: Any, opening: Opening) -> AidedState:

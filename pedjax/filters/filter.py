@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from pedjax.detectors.rest import Rest
 from pedjax.filters.covariance import Covariance
 from pedjax.lanes import align
 
@@ -31,13 +32,15 @@ class Sample(NamedTuple):
 
 class Opening(NamedTuple):
     """The first samples, time first: `dt (n, *L)`, `force`, `rate`, `field (n, 3, *L)` as in `Sample`, and
-    `still (n, *L)`, 1 for the samples that level the start. Rows with dt = 0 are padding."""
+    `still (n, *L)`, 1 for the samples that level the start. Rows with dt = 0 are padding. `rest`, without
+    rows, is what was measured of the standing start, None where the filter asks for none."""
 
     dt: Array
     force: Array
     rate: Array
     field: Array | None
     still: Array
+    rest: Rest | None = None
 
 
 def still_mean(opening: Opening, values: Array) -> Array:
@@ -52,7 +55,8 @@ class Filter(NamedTuple):
     `parameters` is the class of its parameters, to which aids add groups. `opening_s(p)` is how much of the
     walk `start(p, opening) -> estimate, P` levels by, `predict(p, estimate, P, sample)` moves both on by a
     sample, `correct(estimate, correction)` adds a correction by state, and `states` names the field of the
-    estimate and the letter of the covariance that belong together.
+    estimate and the letter of the covariance that belong together. `rest_s(p)` is how long a standing start
+    the opening's `rest` is at most; 0: the filter asks for none.
     """
 
     name: str
@@ -62,3 +66,4 @@ class Filter(NamedTuple):
     predict: Callable[[Any, Any, Covariance, Sample], tuple[Any, Covariance]]
     correct: Callable[[Any, dict[str, Array]], Any]
     states: tuple[tuple[str, str], ...]
+    rest_s: Callable[[Any], float] = lambda p: 0.0

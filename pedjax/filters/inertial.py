@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from pedjax import rotations
+from pedjax.detectors.rest import Rest
 from pedjax.filters import covariance, measurements, strapdown
 from pedjax.filters.covariance import Covariance, ProcessNoise
 from pedjax.filters.filter import Filter, Opening, Sample, still_mean
@@ -23,6 +24,9 @@ _KIT = "kit choice"
 _SHEET = "kit choice: initial bias error of a calibrated unit (OpenShoe, uncalibrated: 0.3 m/s^2, 0.3 deg/s)"
 _DEGREE = 0.017453292519943295
 _PER_ROOT_HZ = 200.0**-0.5  # OpenShoe's per-sample deviations, at the 200 Hz of PyShoe's published runs
+
+BIASES = ("zero", "rest")
+"""What the first bias of the gyroscope may be."""
 
 
 @parameters
@@ -65,7 +69,8 @@ class Process:
 
 @parameters
 class Initial:
-    """Standard deviations of the first state, and how it is levelled."""
+    """Standard deviations of the first state, how it is levelled, and whether a standing start measures the
+    gyroscope's first bias."""
 
     attitude: Array = leaf(
         0.1 * _DEGREE, unit="rad", low=1e-6, high=1.0, source=_OPENSHOE, tune=True,
@@ -79,8 +84,8 @@ class Initial:
     )  # fmt: skip
     gyroscope_bias: Array = leaf(
         7e-4, unit="rad/s", low=1e-8, high=0.1, source=f"{_SHEET}, 0.04 deg/s", tune=True,
-        meaning="Standard deviation of the gyroscope's first bias, zero; raised, early measurements "
-        "change it more.",
+        meaning="Standard deviation of the gyroscope's first bias, zero until rest measures it; raised, "
+        "rest and early measurements change it more.",
     )  # fmt: skip
     accelerometer_bias: Array = leaf(
         0.02, unit="m/s^2", low=1e-6, high=3.0, source=f"{_SHEET}, 2 mg", tune=True,
@@ -105,6 +110,22 @@ class Initial:
     levelling_s: float = setting(
         0.1, source="PyShoe: the first 20 samples at 200 Hz",
         meaning="Length of the still stretch at the start, whose mean force gives the first roll and pitch.",
+    )  # fmt: skip
+    bias: str = setting(
+        "zero", choices=BIASES, source=_KIT,
+        meaning="The gyroscope's first bias: zero, or as the rest with which a recording begins measures it, "
+        "which the start then reads ahead.",
+    )  # fmt: skip
+    rest_s: float = setting(
+        10.0, source=_KIT,
+        meaning="How much of the start is looked at for rest, if it gives the first bias; longer, a long "
+        "rest counts for more.",
+    )  # fmt: skip
+    sway: Array = leaf(
+        0.25 * _DEGREE, unit="rad/s", low=1e-6, high=0.1, source=f"{_KIT}, 0.25 deg/s", tune=True,
+        when={"bias": "rest"},
+        meaning="How much a standing foot turns in a window of rest; raised, the mean rate at rest counts "
+        "less as the first bias.",
     )  # fmt: skip
 
 
@@ -139,7 +160,8 @@ class InertialParameters:
 
 
 def start(p: InertialParameters, opening: Opening) -> tuple[Navigation, Covariance]:
-    """Levelled by the first samples, heading given, at rest at the origin."""
+    """Levelled by the first samples, heading given, at rest at the origin; the gyroscope's bias zero, or as
+    the standing start measures it."""
     mean = still_mean(opening, opening.force)
     shape = lane_shape(p, mean[0])
     like = jnp.zeros(shape, mean.dtype)
@@ -149,14 +171,36 @@ def start(p: InertialParameters, opening: Opening) -> tuple[Navigation, Covarian
     tilt_and_heading = jnp.stack(
         [x + like for x in (p.initial.attitude, p.initial.attitude, p.initial.heading_sigma)]
     )
+    bias_sigma = p.initial.gyroscope_bias
+    if opening.rest is not None:
+        bias, bias_sigma = _measured_bias(p.initial, opening.rest, ones)
+        nav = nav._replace(gyroscope_bias=bias)
     deviations = {
         "t": tilt_and_heading,
-        "g": p.initial.gyroscope_bias * ones,
+        "g": bias_sigma * ones,
         "p": p.initial.position * ones,
         "v": p.initial.velocity * ones,
         "a": p.initial.accelerometer_bias * ones,
     }
     return nav, covariance.diagonal(deviations)
+
+
+def _measured_bias(p: Initial, rest: Rest, ones: Array) -> tuple[Array, Array]:
+    """The gyroscope's first bias `(3, *L)` and its standard deviation `(*L)`, rad/s, as a standing start
+    measures them.
+
+    The n windows of rest measure the bias by their mean rate, each with the variance s^2 = sway^2 + spread,
+    and before them it is zero with the variance P0 = gyroscope_bias^2. About each axis
+
+        P = 1 / (1/P0 + n/s^2),    bias = P n/s^2 (mean rate),
+
+    written here without 1/P0; with n = 0 they are P0 and zero.
+    """
+    lanes = ones.ndim - 1
+    windows, spread = align(rest.windows, 0, lanes), align(rest.spread, 0, lanes)
+    prior, own = windows * p.gyroscope_bias**2, p.sway**2 + spread  # n P0 and s^2
+    bias = prior / (prior + own) * align(rest.rate, 1, lanes)
+    return bias * ones, p.gyroscope_bias * jnp.sqrt(own / (prior + own))
 
 
 def predict(
@@ -200,4 +244,5 @@ INERTIAL = Filter(
         ("velocity", "v"),
         ("accelerometer_bias", "a"),
     ),
+    rest_s=lambda p: p.initial.rest_s if p.initial.bias == "rest" else 0.0,
 )

@@ -178,3 +178,30 @@ def stance_id(mask: Mask) -> NDArray[np.int64]:
     for number, (first, end) in enumerate(runs(mask, True)):
         out[first:end] = number
     return out
+
+
+def standing_start(
+    rate: Array, dt: Array, rate_hz: float, rest_s: float, length: int | None = None
+) -> tuple[Array, float, int]:
+    """Mean rate (3,) rad/s, spread of the windows' means (rad/s)^2 and number of windows of the leading rest.
+
+    Windows of 0.25 s end to end in the first ``rest_s`` [s]; one rests while the rate's standard deviation is
+    below 0.02 rad/s and its mean below 1 deg/s. dt (T,) in s is 0 in padding.
+    """
+    width = round(0.25 * rate_hz)
+    end = len(rate) if length is None else length
+    means: list[Array] = []
+    while (len(means) + 1) * width <= min(end, rest_s * rate_hz):
+        part = slice(len(means) * width, (len(means) + 1) * width)
+        if np.any(dt[part] == 0.0):
+            break
+        mean = sum(rate[part]) / width
+        variance = sum(float((x - mean) @ (x - mean)) for x in rate[part]) / width
+        if np.sqrt(variance) >= 0.02 or np.linalg.norm(mean) >= np.deg2rad(1.0):
+            break
+        means.append(mean)
+    if not means:
+        return np.zeros(3), 0.0, 0
+    whole = sum(means) / len(means)
+    spread = sum(float((x - whole) @ (x - whole)) for x in means) / (3 * len(means))
+    return whole, spread, len(means)

@@ -36,6 +36,7 @@ VALUES = {
     "process.gyroscope_bias": 1e-3,
     "process.accelerometer_bias_time": 5.0,
     "process.gyroscope_bias_time": 8.0,
+    "initial.bias": "rest",
     "initial.attitude": 0.02,
     "initial.heading_sigma": 0.05,
     "initial.gyroscope_bias": 0.005,
