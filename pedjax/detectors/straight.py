@@ -55,11 +55,11 @@ class Straight(SoftGate):
         "while it stands.",
     )  # fmt: skip
     strides: int = setting(
-        3, choices=tuple(range(1, 21)), source=_KIT,
+        6, choices=tuple(range(1, 21)), source=f"{_KIT}: with 4 deg, harmless on curves",
         meaning="How many strides before the last are looked at; more, only longer straights pass.",
     )  # fmt: skip
     angle: Array = leaf(
-        10 * _DEGREE, unit="rad", low=1e-3, high=3.2, source=_KIT, tune=True, point=True,
+        4 * _DEGREE, unit="rad", low=1e-3, high=3.2, source=_KIT, tune=True, point=True,
         meaning="Angle that the statistic must stay below; raised, gentle curves pass as straight, too.",
     )  # fmt: skip
     shortest: Array = leaf(
@@ -68,8 +68,9 @@ class Straight(SoftGate):
         "count anew.",
     )  # fmt: skip
     dwell_s: float = setting(
-        0.12, source=f"{_KIT}: as a look at the field",
-        meaning="How long the foot must stand before its stride is counted; longer, it stands more surely.",
+        0.06, source=f"{_KIT}: runners stand for 0.1 s",
+        meaning="How long the foot must stand before its stride is counted; longer, short stances are "
+        "missed.",
     )  # fmt: skip
     gap_s: float = setting(
         0.15, source=f"{_KIT}: movement that ends a stance",

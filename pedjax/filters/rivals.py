@@ -34,6 +34,7 @@ from pedjax.parameters import leaf, parameters
 
 _KIT = "kit choice"
 _NOTHING = 1e4  # rad², the variance of a rival that is none
+_CLEARLY = 0.75  # how likely it is, at least, that a look of which no rival is born is about the own heading
 _HINT = 3.0  # log odds gained, about one look's, without which a rival that a look contradicts is replaced
 
 
@@ -126,15 +127,18 @@ def judged(p: RivalParameters, rivals: Rivals, look: Look, dt: Array) -> tuple[R
         away = rotations.wrap(look.innovation - rival.turn)
         likely, about = _likelihood(p, away, look.variance + rival.variance)
         gained = jnp.maximum(kept * (rival.odds + start) + count * (likely - own), 0.0)
-        gain = look.now * about * rival.variance / (rival.variance + look.variance)
+        is_one = rival.variance < 0.5 * _NOTHING
+        gain = look.now * about * rival.variance / (rival.variance + look.variance) * is_one
         turn = rotations.wrap(rival.turn + gain * away)
         new = Rival(turn, (1 - gain) * rival.variance, gained - start, rival.since)
         return new, about
 
     fresh, explains = moved(rivals.fresh, p.fresh)
     former, _ = moved(rivals.former, p.former)
-    strange = (agrees < 0.5) & (explains < 0.5) & (fresh.odds + p.fresh < _HINT) & (look.now > 0)
+    weak = (fresh.odds + p.fresh < _HINT) & (look.now > 0)
+    strange = weak & (agrees < _CLEARLY) & (explains < 0.5)
     newborn = Rival(look.innovation, look.variance, 0 * fresh.odds - p.fresh, look.position)
+    fresh = _where(weak & ~strange & (agrees > explains), none(p, look.position).fresh, fresh)
     fresh = _where(strange, newborn, fresh)
     best = _where(former.odds > fresh.odds, former, fresh)
     return Rivals(fresh, former), best, jnp.where((best.odds > 0) & (look.now > 0), 1.0, 0.0)

@@ -14,6 +14,7 @@ from pedjax.aids.zero_velocity import ZERO_ANGULAR_RATE, ZERO_VELOCITY
 from pedjax.filters.inertial import INERTIAL
 
 VALUES = {
+    "initial.bias": ("rest", "kit choice: what the gyroscope reads before the first step is its bias"),
     "initial.gyroscope_bias": (2e-3, "kit choice: 0.1 deg/s, a unit that is not calibrated to the last"),
     "initial.accelerometer_bias": (0.1, "kit choice"),
     "updates.zero_velocity": (0.05, "kit choice: how a foot moves in the last samples of a made stance"),

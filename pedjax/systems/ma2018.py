@@ -5,7 +5,7 @@ field is quasi-static the magnetic heading as a further row. Zero velocity and h
 the other, which for independent noises is the stacked update of the paper (Eq. 35-38).
 
 The same parts give the systems it is compared with: field.detector = "iqsf" or "qsf", and compass.update =
-"none", pure ZUPT.
+"none", pure ZUPT. A heading heuristic beside (`heuristic.form`) is off.
 
 The paper prints no noises. A zero velocity of 0.01 m/s, IEZ's, is not true of a foot that begins to lift
 before the detector sees it: in made walks the last samples of a stance move at 0.01 to 0.08 m/s, always
@@ -16,6 +16,7 @@ steep field is two of heading; told as they are, the attitude levels a field bet
 from __future__ import annotations
 
 from pedjax.aids.assembly import aided
+from pedjax.aids.heading_heuristic import HEADING_HEURISTIC
 from pedjax.aids.magnetic_heading import FIELD_RATE, MAGNETIC_HEADING
 from pedjax.aids.zero_velocity import ZERO_ANGULAR_RATE, ZERO_VELOCITY
 from pedjax.filters.inertial import INERTIAL
@@ -30,7 +31,7 @@ VALUES = {
 MA2018 = aided(
     "ma2018",
     INERTIAL,
-    (ZERO_VELOCITY, ZERO_ANGULAR_RATE, MAGNETIC_HEADING, FIELD_RATE),
+    (ZERO_VELOCITY, ZERO_ANGULAR_RATE, MAGNETIC_HEADING, FIELD_RATE, HEADING_HEURISTIC),
     "ZUPT-EKF with quasi-static magnetic heading",
     values=VALUES,
 )
