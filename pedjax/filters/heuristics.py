@@ -121,7 +121,7 @@ class Integrator:
 class Hde:
     """HDE of Borenstein and Ojeda 2010."""
 
-    gain: Array = _gain(5e-6)
+    gain: Array = _gain(7e-6)
     softness: Array = _softness("rad", 0.01)
 
 
@@ -177,6 +177,11 @@ class Directions:
     strides: Array = leaf(
         6.0, unit="1", low=1.0, high=1e3, source=_KIT, when={"known": "learnt"},
         meaning="Straight strides that they are learnt from; raised, they are surer and come later.",
+    )  # fmt: skip
+    error: Array = leaf(
+        0.01, unit="rad", low=1e-6, high=1.0, source=_KIT, when={"form": ("ihde", "mihde", "von_mises")},
+        meaning="How far they may be from the building's true ones; as this error is the same in every stride, "
+        "rows leave the yaw no surer than that. Raised, they count for less.",
     )  # fmt: skip
     sure: Array = leaf(
         0.05, unit="rad", low=1e-4, high=10.0, source=_KIT, when={"known": "learnt"},
@@ -293,23 +298,29 @@ def _hde(p: Hde, seen: Walked) -> Told:
     return Told(seen.straight * seen.known, bias=p.gain * jnp.tanh(seen.away / p.softness) * seen.up)
 
 
-def _ihde(p: Ihde, seen: Walked) -> Told:
+def _directed(axis: Directions, seen: Walked, sure: Array, sigma: Array) -> Told:
+    """A row on yaw by the nearest direction, which counts as far as a stride is `sure (*L)` to go along it."""
+    left = jnp.maximum(1 - axis.error**2 / seen.P["tt"][2, 2], 0.0)
+    return Told(seen.straight * seen.known * sure * left, _on_yaw(-seen.away, sigma))
+
+
+def _ihde(p: Ihde, axis: Directions, seen: Walked) -> Told:
     sure = jnp.exp(-((seen.away / p.tolerance) ** 2) - jnp.minimum(seen.bent, 3.0) ** 2)
-    return Told(seen.straight * seen.known * sure, _on_yaw(-seen.away, p.sigma))
+    return _directed(axis, seen, sure, p.sigma)
 
 
-def _mihde(p: Mihde, seen: Walked) -> Told:
+def _mihde(p: Mihde, axis: Directions, seen: Walked) -> Told:
     assert seen.compass is not None
-    told = _ihde(p, seen)
+    told = _ihde(p, axis, seen)
     apart = rotations.wrap(seen.compass + seen.away)  # of the turns that compass and direction ask for
     return told._replace(weight=told.weight * jnp.exp(-0.5 * (apart / p.compass) ** 2))
 
 
-def _von_mises(p: VonMises, count: int, seen: Walked) -> Told:
+def _von_mises(p: VonMises, axis: Directions, seen: Walked) -> Told:
     spread = p.sigma * p.sigma + seen.P["tt"][2, 2]
     along = p.share * jnp.exp(-0.5 * seen.away**2 / spread) / jnp.sqrt(2 * np.pi * spread)
-    sure = along / (along + (1 - p.share) * count / (2 * np.pi))
-    return Told(seen.straight * seen.known * sure, _on_yaw(-seen.away, p.sigma))
+    sure = along / (along + (1 - p.share) * axis.count / (2 * np.pi))
+    return _directed(axis, seen, sure, p.sigma)
 
 
 FORMS: dict[str, Callable[[Heuristic, Walked], Told]] = {
@@ -317,9 +328,9 @@ FORMS: dict[str, Callable[[Heuristic, Walked], Told]] = {
     "slope": lambda p, seen: _slope(p.slope, seen),
     "integrator": lambda p, seen: _integrator(p.integrator, seen),
     "hde": lambda p, seen: _hde(p.hde, seen),
-    "ihde": lambda p, seen: _ihde(p.ihde, seen),
-    "mihde": lambda p, seen: _mihde(p.mihde, seen),
-    "von_mises": lambda p, seen: _von_mises(p.von_mises, p.directions.count, seen),
+    "ihde": lambda p, seen: _ihde(p.ihde, p.directions, seen),
+    "mihde": lambda p, seen: _mihde(p.mihde, p.directions, seen),
+    "von_mises": lambda p, seen: _von_mises(p.von_mises, p.directions, seen),
 }
 """`(parameters, what is known at the end of a stride) -> what it says`."""
 
