@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pedjax
 from experiments.ma2018 import calibration, detection, figures, spread
-from experiments.ma2018.table import Row
+from experiments.table import Row
 from pedjax.output import folder, write_table
 from pedjax.runtime import default_cache
 

@@ -20,8 +20,8 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import pedjax
-from experiments.ma2018 import presets
-from experiments.ma2018.table import Row, row
+from experiments import presets
+from experiments.table import Row, row
 from pedjax.calibration import ellipsoid, fitting, planar
 from pedjax.filters.compass import calibrated_by
 from pedjax.output import write_figure

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.ma2018.table import Row, row
+from experiments.table import Row, row
 from pedjax import parameters
 from pedjax.config import Config, override, resolve
 from pedjax.detection import Banded, Labelled, Wanted, compare, difference, roc

@@ -14,9 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import pedjax
-from experiments.ma2018 import presets
+from experiments import presets
 from experiments.ma2018.spread import FILTERS
-from experiments.ma2018.table import Row, row
+from experiments.table import Row, row
 from pedjax.output import write_figure
 from pedjax.recording import nearest
 from pedjax.scoring import aligned

@@ -18,7 +18,7 @@ import numpy as np
 from tqdm import tqdm
 
 import pedjax
-from experiments.ma2018 import presets
+from experiments import presets
 from pedjax.output import folder, write_table
 from pedjax.recording import Stream
 

@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 import pedjax
-from experiments.ma2018 import presets
+from experiments import presets
 from experiments.ma2018.spread import PLACES, made
 from pedjax.runtime import default_cache
 

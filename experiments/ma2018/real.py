@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import pedjax
-from experiments.ma2018 import presets
+from experiments import presets
 from pedjax.output import folder, write_table
 from pedjax.simulation.labels import stance_edges
 

@@ -22,8 +22,8 @@ import numpy as np
 from tqdm import tqdm
 
 import pedjax
-from experiments.ma2018 import presets
-from experiments.ma2018.table import Row, row
+from experiments import presets
+from experiments.table import Row, row
 from pedjax.output import atomic, folder, write_table
 from pedjax.runtime import default_cache
 from pedjax.simulation.scenarios import load_scenario

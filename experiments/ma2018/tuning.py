@@ -16,7 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 import pedjax
-from experiments.ma2018.presets import params_of
+from experiments.presets import params_of
 from pedjax import parameters
 from pedjax.output import folder, write_json, write_table, write_toml
 from pedjax.systems.ma2018 import MA2018

@@ -1,4 +1,4 @@
-"""The presets of Ma 2018 over recordings."""
+"""Presets over recordings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ def params_of(preset: str, changes: Mapping[str, Any] | None = None) -> Any:
 
 
 def run(recording: pedjax.Recording, preset: str, changes: Mapping[str, Any] | None = None) -> pedjax.Track:
-    return pedjax.run(recording, "ma2018", params_of(preset, changes))
+    """A recording with a preset's system and parameters, with changes."""
+    system, params = config.resolve(config.load(preset))
+    return pedjax.run(recording, system, parameters.replace(params, changes or {}))
 
 
 def score(track: pedjax.Track, recording: pedjax.Recording) -> pedjax.Score:
