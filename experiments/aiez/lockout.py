@@ -83,5 +83,6 @@ def _turned(seeds: range, out: Path) -> list[Row]:
     for name, x in found.items():
         share = float(np.median(x)) / plain
         wanted, met = ("at most 0.3 of IEZ's", share <= 0.3) if name == "AIEZ" else ("", None)
-        rows.append(row("TF", f"turned field, {name}", wanted, f"{np.median(x):.2f} m, {share:.2f} of it, worst {x.max():.2f} m", met))  # fmt: skip
+        told = f"{np.median(x):.2f} m, {share:.2f} of it, worst {x.max():.2f} m"
+        rows.append(row("TF", f"turned field, {name}", wanted, told, met))
     return rows

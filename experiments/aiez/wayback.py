@@ -23,7 +23,12 @@ LEGS = {"out": 20.0, "back": 60.0}
 GLITCH = 2.0
 TIGHT = {"tilt.sigma": 0.02, "initial.attitude": 0.03, "process.gyroscope": 3e-3}
 """The rows are believed, and the filter knows that its attitude may be off."""
-ROWS = {"none": "zero velocities alone", "level": "level axes", "euler": "M", "printed": "identity, as printed"}
+ROWS = {
+    "none": "zero velocities alone",
+    "level": "level axes",
+    "euler": "M",
+    "printed": "identity, as printed",
+}
 
 
 def tilt_error(walked: pedjax.Simulated, track: pedjax.Track) -> np.ndarray:
@@ -70,7 +75,9 @@ def run(seeds: range, out: Path) -> list[Row]:
         a, b = (float(np.median(left[rows, leg])) for leg in LEGS)
         wanted = {"printed": "wrong on the way back", "none": ""}.get(rows, "as good back as out")
         met = bool(abs(b - a) < 0.1) if rows in ("level", "euler") else None
-        found.append(row("WB", f"tilt error left after 3 s, {name}", wanted, f"out {a:.2f}, back {b:.2f}", met))
+        found.append(
+            row("WB", f"tilt error left after 3 s, {name}", wanted, f"out {a:.2f}, back {b:.2f}", met)
+        )
     return found
 
 
@@ -86,5 +93,5 @@ def _figure(curves: dict[str, Any], begins: dict[str, float], out: Path) -> None
         axis.set_title(f"on the way {leg}")
         axis.set_xlabel("time since the glitch, s")
     axes[0].set_ylabel("tilt error, deg")
-    axes[1].legend()
+    axes[0].legend()
     write_figure(out / "wayback.png", figure)

@@ -100,13 +100,15 @@ def aided(
                 assert gated is not None
                 gates[aid.gate] = gated
             more |= said
-            changes = [] if moved is None else [moved]
+            corrections = []
             if moved is not None:
-                P = moved[0]
+                P, correction = moved
+                corrections.append(correction)
             if rows is not None:
                 assert weight is not None
-                changes.append(kalman.update(P, rows, weight))
-            for P, correction in changes:
+                P, correction = kalman.update(P, rows, weight)
+                corrections.append(correction)
+            for correction in corrections:
                 estimate = filter.correct(estimate, correction)
                 for other in aids:
                     if other.name in states:

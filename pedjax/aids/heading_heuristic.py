@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -48,7 +49,9 @@ def _start(
     like = jnp.zeros_like(estimate.position[0])
     count = p.straight.strides + 1
     run = Run(*(like,) * 7, jnp.zeros_like(estimate.position))
-    state = State(started(like), estimate.position, (like,) * count, (like,) * count, like, Axis(*(like,) * 3), run)
+    state = State(
+        started(like), estimate.position, (like,) * count, (like,) * count, like, Axis(*(like,) * 3), run
+    )
     return state, estimate, P
 
 
@@ -100,9 +103,9 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
     moved = None
     if told.bias is not None:
         nothing = jnp.zeros_like(nav.position)
-        correction = {s: nothing for s in states_of(from_.P)} | {"g": weight * told.bias + nothing}
+        correction = dict.fromkeys(states_of(from_.P), nothing) | {"g": weight * told.bias + nothing}
         moved = from_.P, correction
-    run = Run(*(jnp.where(over > 0, 0.0, x) for x in run))
+    run = jax.tree.map(lambda x: jnp.where(over > 0, 0.0, x), run)
     place = jnp.where(now > 0, nav.position, state.place)
     new = State(clock, place, headings, times, follow, axis, run)
     more = {
@@ -122,23 +125,25 @@ def _run(
     """The straight run with the oldest stride of a straight window, and whether it is over, 0 or 1: where the
     walk bends, or it is long enough. The oldest, because the newest may be the first of a bend."""
     goes_on = (now > 0) & (is_straight > 0.5)
-    begins = goes_on & (run.count < 0.5)
+    begins = goes_on & (run.strides < 0.5)
     first = jnp.where(begins, heading, run.heading), jnp.where(begins, time, run.time)
     y, t = rotations.wrap(heading - first[0]), time - first[1]
     one = jnp.where(goes_on, 1.0, 0.0)
-    sums = zip(run[2:7], (1.0, t, t * t, y, t * y), strict=True)
-    run = Run(*first, *(total + one * x for total, x in sums), run.up + one * up)
-    bends = (now > 0) & ~goes_on & (run.count > 0.5)
-    return run, jnp.where(bends | (run.count >= q.slope.longest), 1.0, 0.0)
+    new = Run(*first, jnp.ones_like(t), t, t * t, y, t * y, up)
+    sums = [total + one * x for total, x in zip(run[2:], new[2:], strict=True)]
+    run = Run(*first, *sums)
+    bends = (now > 0) & ~goes_on & (run.strides > 0.5)
+    return run, jnp.where(bends | (run.strides >= q.slope.longest), 1.0, 0.0)
 
 
 def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any) -> State:
-    """Headings turn with whatever turns the yaw: a stride is straight by the gyroscope. Zhang's HDR takes what
-    it made of earlier strides for the truth, and so does not turn them."""
-    if by in ("zero_velocity", "zero_angular_rate") or (by == "heading_heuristic" and p.heuristic.form == "hdr"):
+    """Headings turn with whatever turns the yaw: a stride is straight by the gyroscope. Zhang's HDR takes
+    what it made of earlier strides for the truth, and so does not turn them."""
+    own = by == "heading_heuristic" and p.heuristic.form == "hdr"
+    if own or by in ("zero_velocity", "zero_angular_rate"):
         return state
     yaw, run = correction["t"][2], state.run
-    moved = jnp.where(run.count > 0.5, yaw, 0.0)
+    moved = jnp.where(run.strides > 0.5, yaw, 0.0)
     run = run._replace(heading=run.heading + moved)
     return state._replace(headings=tuple(x + yaw for x in state.headings), run=run)
 

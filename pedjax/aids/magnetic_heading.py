@@ -276,8 +276,9 @@ def _heading_row(q: Compass, field: Array) -> Array:
 
 
 _NOT_TURNED_BY = ("zero_velocity", "zero_angular_rate")
-"""Whose corrections do not turn the looks. They could, at a cost in each sample of stance; but a zero velocity
-tells next to nothing of yaw: over six made offices mean errors changed by 0 to 4 cm, none for the better."""
+"""Whose corrections do not turn the looks. They could, at a cost in each sample of stance; but a zero
+velocity tells next to nothing of yaw: over six made offices mean errors changed by 0 to 4 cm, none for the
+better."""
 
 
 def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any) -> State:

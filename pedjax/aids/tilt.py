@@ -1,12 +1,13 @@
 """Tilt: while the foot stands, the specific force points up, which tells roll and pitch (Zhang, Eq. 19-22).
 
 The error t of the attitude is a small rotation in navigation axes. With f the unit force that the attitude
-turned into them, f = (−t_y, t_x, 1) to first order, so that (f_y, −f_x) measures (t_x, t_y), wherever the walker
-heads. Roll and pitch, which Zhang takes, need the block
+turned into them, f = (−t_y, t_x, 1) to first order, so that (f_y, −f_x) measures (t_x, t_y), wherever the
+walker heads. Roll and pitch, which Zhang takes, need the block
 
     (δφ, δθ) = [[cos ψ / cos θ, sin ψ / cos θ], [−sin ψ, cos ψ]] (t_x, t_y);
 
-printed (Eq. 29) is the identity, which on the way back, at ψ = 180 degrees, turns the tilt away from the truth.
+printed (Eq. 29) is the identity, which on the way back, at ψ = 180 degrees, turns the tilt away from the
+truth.
 """
 
 from __future__ import annotations

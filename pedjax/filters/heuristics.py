@@ -6,8 +6,8 @@ Each form is a function of what is known when a stride has ended, and gives a me
   counts a walk's natural sway as drift and its own past as truth, and so is never honest: it shrinks the
   yaw's variance without knowing anything of the yaw.
 - `slope`: the honest form of the same. Over a straight run the yaw keeps its level; its slope over time is
-  what is left of the gyroscope's bias about up, c · g with c the up axis in body axes: a row on the bias, once
-  for each run, with σ²/Σ(t − t̄)² as its variance.
+  what is left of the gyroscope's bias about up, c · g with c the up axis in body axes: a row on the bias,
+  once for each run, with σ²/Σ(t − t̄)² as its variance.
 - `integrator` (HDR of Borenstein and Ojeda 2009): on straights the bias about up moves by a fixed amount
   against the sign of the turn.
 - `hde` (Borenstein and Ojeda 2010): the same against the side on which the nearest dominant direction lies.
@@ -180,8 +180,8 @@ class Directions:
     )  # fmt: skip
     error: Array = leaf(
         0.01, unit="rad", low=1e-6, high=1.0, source=_KIT, when={"form": ("ihde", "mihde", "von_mises")},
-        meaning="How far they may be from the building's true ones; as this error is the same in every stride, "
-        "rows leave the yaw no surer than that. Raised, they count for less.",
+        meaning="How far they may be from the building's true ones; as this error is the same in every "
+        "stride, rows leave the yaw no surer than that. Raised, they count for less.",
     )  # fmt: skip
     sure: Array = leaf(
         0.05, unit="rad", low=1e-4, high=10.0, source=_KIT, when={"known": "learnt"},
@@ -219,12 +219,12 @@ class Heuristic:
 
 
 class Run(NamedTuple):
-    """Sums over a straight run, from its `first` heading and time: `count`, of t, t², y, t y `(*L)` each, and
-    of the up axis in body axes, `up (3, *L)`."""
+    """Sums over a straight run, from its first `heading` and `time`: of `strides`, and over them of t, t², y
+    and t y, `(*L)` each, and of the up axis in body axes, `up (3, *L)`."""
 
     heading: Array
     time: Array
-    count: Array
+    strides: Array
     t: Array
     tt: Array
     y: Array
@@ -275,7 +275,7 @@ def _hdr(p: Hdr, seen: Walked) -> Told:
 
 def fitted(run: Run) -> tuple[Array, Array]:
     """The slope rad/s of a run's headings over time, and Σ(t − t̄)² s²."""
-    count = jnp.maximum(run.count, 1.0)
+    count = jnp.maximum(run.strides, 1.0)
     spread = jnp.maximum(run.tt - run.t * run.t / count, 1e-6)
     return (run.ty - run.t * run.y / count) / spread, spread
 
@@ -283,10 +283,10 @@ def fitted(run: Run) -> tuple[Array, Array]:
 def _slope(p: Slope, seen: Walked) -> Told:
     run = seen.run
     slope, spread = fitted(run)
-    up = run.up / jnp.maximum(run.count, 1.0)
+    up = run.up / jnp.maximum(run.strides, 1.0)
     rows = Rows(slope[None], (p.sigma * p.sigma / spread)[None, None], {"g": up[None]})
     near = kalman.normalised_innovation(seen.P, rows) < p.far * p.far
-    return Told(jnp.where(near & (run.count >= p.least), seen.over, 0.0), rows)
+    return Told(jnp.where(near & (run.strides >= p.least), seen.over, 0.0), rows)
 
 
 def _integrator(p: Integrator, seen: Walked) -> Told:
@@ -299,7 +299,7 @@ def _hde(p: Hde, seen: Walked) -> Told:
 
 
 def _directed(axis: Directions, seen: Walked, sure: Array, sigma: Array) -> Told:
-    """A row on yaw by the nearest direction, which counts as far as a stride is `sure (*L)` to go along it."""
+    """A row on yaw by the nearest direction; it counts as far as a stride is `sure (*L)` to go along it."""
     left = jnp.maximum(1 - axis.error**2 / seen.P["tt"][2, 2], 0.0)
     return Told(seen.straight * seen.known * sure * left, _on_yaw(-seen.away, sigma))
 
@@ -336,8 +336,8 @@ FORMS: dict[str, Callable[[Heuristic, Walked], Told]] = {
 
 
 class Axis(NamedTuple):
-    """The sum of unit vectors at `count` times the headings of straight strides, as far as they are kept, and
-    how `many` there were; `(*L)` each."""
+    """The sum of unit vectors at `directions.count` times the headings of straight strides, as far as they
+    are kept, and how `many` there were; `(*L)` each."""
 
     cosine: Array
     sine: Array
