@@ -25,6 +25,7 @@ strides as the circular mean of 2π/Δ times their heading.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -216,6 +217,10 @@ class Heuristic:
     mihde: Mihde = group(Mihde, when={"form": "mihde"})
     von_mises: VonMises = group(VonMises, when={"form": "von_mises"})
     directions: Directions = group(Directions, when={"form": DIRECTED})
+
+    def only_counting(self) -> Heuristic:
+        """Strides are counted, and nothing is made of them."""
+        return replace(self, form="slope", slope=replace(self.slope, least=jnp.asarray(jnp.inf)))
 
 
 class Run(NamedTuple):
