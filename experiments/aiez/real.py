@@ -21,12 +21,12 @@ import numpy as np
 import pedjax
 from experiments import presets
 from experiments.ma2018.real import loop
-from pedjax import parameters
+from pedjax import config
 from pedjax.output import folder, write_table
 from pedjax.runtime import default_cache
 
 GRID: dict[str, tuple[float, ...]] = {
-    "straight.angle": tuple(np.radians([6.0, 10.0, 15.0])),
+    "heuristic.straight.angle": tuple(np.radians([6.0, 10.0, 15.0])),
     "heuristic.von_mises.sigma": (0.02, 0.05, 0.1),
     "heuristic.von_mises.share": (0.5, 0.8),
     "heuristic.directions.strides": (3.0, 6.0),
@@ -36,7 +36,9 @@ STARTS: dict[str, dict[str, Any]] = {"as it is": {}, "bias from rest": {"initial
 PRESETS = ("iez", "iez_adaptive", "iez_corridors", "ma2018", "aiez", "aiez_adaptive")
 
 
-def _errors(walks: list[pedjax.Recording], changes: dict[str, Any], sets: dict[str, np.ndarray]) -> np.ndarray:
+def _errors(
+    walks: list[pedjax.Recording], changes: dict[str, Any], sets: dict[str, np.ndarray]
+) -> np.ndarray:
     params = presets.params_of("iez_adaptive", changes)
     return pedjax.sweep(walks, sets, "iez", params, loss="rms_2d", alignment="yaw_translation").loss
 
@@ -48,7 +50,7 @@ def crossed(walks: list[pedjax.Recording], start: dict[str, Any]) -> tuple[np.nd
     combinations = np.array(list(itertools.product(*GRID.values())))
     sets = dict(zip(GRID, combinations.T, strict=True))
     form = {"heuristic.form": "von_mises", "heuristic.beside": "always"}
-    tried = [_errors(walks, {**start, **form, "straight.strides": n}, sets) for n in STRIDES]
+    tried = [_errors(walks, {**start, **form, "heuristic.straight.strides": n}, sets) for n in STRIDES]
     errors = np.concatenate(tried)
     found = np.empty(len(walks))
     for half in (0, 1):
@@ -76,34 +78,45 @@ def main() -> None:
     for name, start in STARTS.items() if walks else ():
         plain, found = crossed(walks, start)
         adaptive = plain if adaptive is None else adaptive
+        share, of_adaptive = found.mean() / plain.mean(), found.mean() / adaptive.mean()
         print(
             f"no magnetometer, {name}: {plain.mean():.3f} m, with the heuristic {found.mean():.3f} "
-            f"({found.mean() / plain.mean():.2f}); of the adaptive gate as it is {found.mean() / adaptive.mean():.2f}, "
-            f"worst walk {(found / adaptive).max():.2f}; median {np.median(plain):.3f} to {np.median(found):.3f}"
+            f"({share:.2f}); of the adaptive gate as it is {of_adaptive:.2f}, worst walk {(found / adaptive).max():.2f}; "
+            f"median {np.median(plain):.3f} to {np.median(found):.3f}"
         )
         columns = {"recording": [w.name for w in walks], "plain_m": plain, "heuristic_m": found}
         write_table(out / f"walks_{name.replace(' ', '_')}.csv", columns)
-    rows: list[dict[str, Any]] = []
-    for kind, recordings in (("walk", walks), ("loop", [pedjax.read(path) for path in args.loops])):
-        for recording in recordings:
-            line: dict[str, Any] = {"recording": recording.name, "kind": kind}
-            for preset in PRESETS:
-                magnetic = any(group.startswith("compass") for group in parameters.values(presets.params_of(preset)))
-                if magnetic and recording.sensor().magnetometer is None:
-                    line[preset] = float("nan")
-                    continue
-                track = presets.run(recording, preset)
-                score = presets.score(track, recording).rms_2d_m if kind == "walk" else loop(recording, track)["closure_m"]
-                line[preset] = float(score)
-            rows.append(line)
-            print(*(f"{v:.2f}" if isinstance(v, float) else v for v in line.values()), sep="  ", flush=True)
+    rows = [_line(recording, "walk") for recording in walks]
+    rows += [_line(pedjax.read(path), "loop") for path in args.loops]
+    for kind in dict.fromkeys(row["kind"] for row in rows):
         some = [row for row in rows if row["kind"] == kind]
-        for preset in PRESETS if some else ():
+        adaptive = np.array([row["iez_adaptive"] for row in some])
+        for preset in PRESETS:
             each = np.array([row[preset] for row in some])
-            ratio = each / np.array([row["iez_adaptive"] for row in some])
-            print(f"{kind} {preset:14} mean {np.nanmean(each):.3f}, median {np.nanmedian(each):.3f}, worst of iez_adaptive's {np.nanmax(ratio):.2f}")
+            known = np.isfinite(each)
+            worst = (each / adaptive)[known].max()
+            print(
+                f"{kind} {preset:14} {known.sum()} of {len(each)}: mean {each[known].mean():.3f} "
+                f"(iez_adaptive {adaptive[known].mean():.3f}), median {np.median(each[known]):.3f}, worst ratio {worst:.2f}"
+            )
     if rows:
         write_table(out / "presets.csv", {key: [row[key] for row in rows] for key in rows[0]})
+
+
+def _line(recording: pedjax.Recording, kind: str) -> dict[str, Any]:
+    """Error of a recording with each preset, not a number where it needs a magnetometer that there is not."""
+    line: dict[str, Any] = {"recording": recording.name, "kind": kind}
+    for preset in PRESETS:
+        system, params = config.resolve(config.load(preset))
+        if system.magnetic and recording.sensor().magnetometer is None:
+            line[preset] = float("nan")
+            continue
+        track = pedjax.run(recording, system, params)
+        is_walk = kind == "walk"
+        found = presets.score(track, recording).rms_2d_m if is_walk else loop(recording, track)["closure_m"]
+        line[preset] = float(found)
+    print(*(f"{v:.2f}" if isinstance(v, float) else v for v in line.values()), sep="  ", flush=True)
+    return line
 
 
 if __name__ == "__main__":

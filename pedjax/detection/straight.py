@@ -34,8 +34,9 @@ class StraightWalk(NamedTuple):
 
 
 def counts_strides(params: Any) -> bool:
-    """Whether a system with these parameters can be asked: it has those of the heading heuristic."""
-    return hasattr(params, "straight") and hasattr(getattr(params, "heuristic", None), "only_counting")
+    """Whether a system with these parameters can be asked: it has those of the heading heuristic,
+    which can do `only_counting`."""
+    return hasattr(getattr(params, "heuristic", None), "only_counting")
 
 
 def straight_walk(
@@ -54,14 +55,14 @@ def straight_walk(
     if hasattr(getattr(params, "compass", None), "only_looking"):
         alone = replace(alone, compass=params.compass.only_looking())
     track = run_system(recording, system, alone, sensor=sensor, clock=clock)
-    width = params.straight.strides + 1
+    width = params.heuristic.straight.strides + 1
     ends = np.flatnonzero(track.more["stride_end"] > 0)
     whole = track.gates["straight"].log_ratio[ends] != 10.0  # no standing about in between
     last = np.flatnonzero(whole & (np.arange(len(ends)) >= width))
     if not len(last):
         raise InputError(
             f"{recording.name}: there is no window of {width} strides in a row; walk longer, or lower "
-            "straight.strides"
+            "heuristic.straight.strides"
         )
     index = last - np.arange(width)[::-1, None]  # (N + 1, K)
     headings = track.more["stride_heading"][ends][index]
@@ -105,10 +106,10 @@ def judge_straight(
     ]
 
     def at_point(name: str, curve: Roc, wanted: Wanted) -> Reached:
-        inside = parameters.within(params, {"straight.angle": curve.at(wanted)})
-        angle = float(inside["straight.angle"])
+        inside = parameters.within(params, {"heuristic.straight.angle": curve.at(wanted)})
+        angle = float(inside["heuristic.straight.angle"])
         reached = curve.detection_at(angle), curve.false_alarm_at(angle)
-        return Reached({"straight.detector": name, **inside}, *reached)
+        return Reached({"heuristic.straight.detector": name, **inside}, *reached)
 
     return Judged(
         params,
