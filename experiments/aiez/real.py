@@ -79,9 +79,10 @@ def main() -> None:
         plain, found = crossed(walks, start)
         adaptive = plain if adaptive is None else adaptive
         share, of_adaptive = found.mean() / plain.mean(), found.mean() / adaptive.mean()
+        worst = (found / adaptive).max()
         print(
             f"no magnetometer, {name}: {plain.mean():.3f} m, with the heuristic {found.mean():.3f} "
-            f"({share:.2f}); of the adaptive gate as it is {of_adaptive:.2f}, worst walk {(found / adaptive).max():.2f}; "
+            f"({share:.2f}); of the adaptive gate as it is {of_adaptive:.2f}, worst walk {worst:.2f}; "
             f"median {np.median(plain):.3f} to {np.median(found):.3f}"
         )
         columns = {"recording": [w.name for w in walks], "plain_m": plain, "heuristic_m": found}
@@ -95,9 +96,10 @@ def main() -> None:
             each = np.array([row[preset] for row in some])
             known = np.isfinite(each)
             worst = (each / adaptive)[known].max()
+            mean, middle = each[known].mean(), np.median(each[known])
             print(
-                f"{kind} {preset:14} {known.sum()} of {len(each)}: mean {each[known].mean():.3f} "
-                f"(iez_adaptive {adaptive[known].mean():.3f}), median {np.median(each[known]):.3f}, worst ratio {worst:.2f}"
+                f"{kind} {preset:14} {known.sum()} of {len(each)}: mean {mean:.3f} (iez_adaptive "
+                f"{adaptive[known].mean():.3f}), median {middle:.3f}, worst ratio {worst:.2f}"
             )
     if rows:
         write_table(out / "presets.csv", {key: [row[key] for row in rows] for key in rows[0]})
