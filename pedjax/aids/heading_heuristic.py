@@ -146,7 +146,8 @@ def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any
     yaw, run = correction["t"][2], state.run
     moved = jnp.where(run.strides > 0.5, yaw, 0.0)
     run = run._replace(heading=run.heading + moved)
-    return state._replace(headings=tuple(x + yaw for x in state.headings), run=run)
+    headings = tuple(x + yaw for x in state.headings)
+    return state._replace(headings=headings, run=run, place=state.place + correction["p"])
 
 
 HEADING_HEURISTIC = Aid(

@@ -20,6 +20,7 @@ from jax.typing import ArrayLike
 from pedjax import rotations
 from pedjax.aids.aid import Aid, Measured, Seen
 from pedjax.detectors import field as detectors
+from pedjax.errors import InputError
 from pedjax.filters import compass, hard_iron, kalman, measurements, rivals
 from pedjax.filters.compass import Body, Foot, HeadingNoise, Level, Looking, Looks
 from pedjax.filters.covariance import Covariance
@@ -141,7 +142,12 @@ class Compass:
         return replace(self, update="none", gyroscope_rows=False, recovery="none", looking=self.looks())
 
     def recovers(self) -> bool:
-        """Whether rival headings are kept."""
+        """Whether rival headings are kept; an `InputError` where they cannot be."""
+        if self.recovery == "rivals" and self.update in ("anchored", "differential"):
+            raise InputError(
+                f"compass.recovery = rivals goes by headings, which compass.update = {self.update} has none of; "
+                "set compass.update = heading, or compass.recovery = none"
+            )
         return self.recovery == "rivals" and self.update == "heading"
 
 
