@@ -145,8 +145,8 @@ class Compass:
         """Whether rival headings are kept; an `InputError` where they cannot be."""
         if self.recovery == "rivals" and self.update in ("anchored", "differential"):
             raise InputError(
-                f"compass.recovery = rivals goes by headings, and compass.update = {self.update} has none; set "
-                "compass.update = heading, or compass.recovery = none"
+                f"compass.recovery = rivals goes by headings, and compass.update = {self.update} has none; "
+                "set compass.update = heading, or compass.recovery = none"
             )
         return self.recovery == "rivals" and self.update == "heading"
 
