@@ -22,9 +22,10 @@ CURVED = ("mall", "mall-gentle")
 STRAIGHT = ("office-loop", "teaching-building")
 _PRINTED = {
     "heuristic.form": "hdr", "heuristic.hdr.on_curve": "zero", "heuristic.hdr.sigma": 0.1,
-    "straight.detector": "change", "straight.heading": "yaw", "straight.strides": 3, "straight.angle": 0.1745,
+    "heuristic.straight.detector": "change", "heuristic.straight.heading": "yaw",
+    "heuristic.straight.strides": 3, "heuristic.straight.angle": 0.1745,
 }  # fmt: skip
-_SHORT = {"straight.strides": 3, "straight.angle": 0.1745}
+_SHORT = {"heuristic.straight.strides": 3, "heuristic.straight.angle": 0.1745}
 FORMS: dict[str, dict[str, Any]] = {
     "none": {"heuristic.form": "none"},
     **{f: {"heuristic.form": f} for f in ("hdr", "slope", "integrator", "hde", "ihde", "mihde", "von_mises")},

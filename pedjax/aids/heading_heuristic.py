@@ -47,7 +47,7 @@ def _start(
     p: Any, site: Any, opening: Opening, estimate: Any, P: Covariance
 ) -> tuple[State, Any, Covariance]:
     like = jnp.zeros_like(estimate.position[0])
-    count = p.straight.strides + 1
+    count = p.heuristic.straight.strides + 1
     run = Run(*(like,) * 7, jnp.zeros_like(estimate.position))
     state = State(
         started(like), estimate.position, (like,) * count, (like,) * count, like, Axis(*(like,) * 3), run
@@ -57,15 +57,16 @@ def _start(
 
 def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
     nav, q, dt = from_.estimate, p.heuristic, from_.sample.dt
+    way: Straight = q.straight
     still = from_.gates["stance"].weight
-    clock, (_, now) = tick(state.clock, still, dt, p.straight.dwell_s, p.straight.gap_s)
+    clock, (_, now) = tick(state.clock, still, dt, way.dwell_s, way.gap_s)
     stride = nav.position - state.place
     length = hypotenuse(stride[0], stride[1], small=1e-12)
-    if p.straight.heading == "stride":
+    if way.heading == "stride":
         heading = jnp.arctan2(stride[1], stride[0] + 1e-12)
     else:
         heading = jnp.arctan2(nav.attitude[1, 0], nav.attitude[0, 0] + 1e-12)
-    walks = length >= p.straight.shortest
+    walks = length >= way.shortest
     ended, broken = (now > 0) & walks, (now > 0) & ~walks
     follow = jnp.where(broken, 0.0, state.follow + jnp.where(ended, 1.0, 0.0))
 
@@ -73,9 +74,9 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
         return tuple(jnp.where(ended, a, b) for a, b in zip((*old[1:], new), old, strict=True))
 
     headings, times = shifted(state.headings, heading), shifted(state.times, clock.time)
-    ratio = straight.log_ratio(p.straight, headings)
-    whole = ended & (follow > p.straight.strides)
-    is_straight = jnp.where(whole, gate(ratio, p.straight.width, p.straight.straight_through), 0.0)
+    ratio = straight.log_ratio(way, headings)
+    whole = ended & (follow > way.strides)
+    is_straight = jnp.where(whole, gate(ratio, way.width, way.straight_through), 0.0)
 
     run, over = _run(q, state.run, now, is_straight, headings[0], times[0], nav.attitude[2])
     axis = state.axis
@@ -150,7 +151,7 @@ def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any
 
 HEADING_HEURISTIC = Aid(
     name="heading_heuristic",
-    groups=(("straight", Straight), ("heuristic", Heuristic)),
+    groups=(("heuristic", Heuristic),),
     gate="straight",
     reads=("stance",),
     is_on=lambda p: p.heuristic.form != "none",

@@ -1,4 +1,5 @@
-"""The command `roc`: detectors of stance or of a quasi-static field against what is true."""
+"""The command `roc`: detectors of stance, of a quasi-static field or of straight walking against what is
+true."""
 
 from __future__ import annotations
 
@@ -20,18 +21,22 @@ from pedjax.detection import (
     difference,
     judge_field,
     judge_stance,
+    judge_straight,
     looks_at_field,
 )
 from pedjax.detection.bands import FEWEST
 from pedjax.detectors.field import FIELD_DETECTORS
 from pedjax.detectors.stance import DETECTORS
+from pedjax.detectors.straight import STRAIGHT_DETECTORS
 from pedjax.errors import InputError, suggest
 from pedjax.identity import fingerprint
 from pedjax.output import folder, write_figure, write_table
 from pedjax.sources import read_all, read_labelled
 from pedjax.walks import sensor_names
 
-KINDS: dict[str, Mapping[str, Any]] = {"stance": DETECTORS, "field": FIELD_DETECTORS}
+KINDS: dict[str, Mapping[str, Any]] = {
+    "stance": DETECTORS, "field": FIELD_DETECTORS, "straight": STRAIGHT_DETECTORS,
+}  # fmt: skip
 DRAWN = ("all", "straight", "curved")
 """The parts whose curves are drawn and written."""
 
@@ -39,7 +44,7 @@ DRAWN = ("all", "straight", "curved")
 def add_parser(commands: Any, both: list[argparse.ArgumentParser]) -> None:
     """`pedjax roc` and its options."""
     parser = commands.add_parser(
-        "roc", parents=both, help="ROC of stance detectors or field detectors against what is true"
+        "roc", parents=both, help="ROC of detectors of stance, field or straight walking against what is true"
     )
     parser.add_argument("--kind", choices=tuple(KINDS), help="of detectors (default: that of those named)")
     parser.add_argument("--detectors", nargs="+", metavar="NAME", help="default: all of their kind")
@@ -63,6 +68,10 @@ def add_parser(commands: Any, both: list[argparse.ArgumentParser]) -> None:
         "--same-heading", type=float, default=5.0, metavar="DEG",
         help="the same of its horizontal direction (default: 5)",
     )  # fmt: skip
+    parser.add_argument(
+        "--bent-below", type=float, default=5.0, metavar="DEG",
+        help="bend of the true path in a window of strides below which it is straight (default: 5)",
+    )  # fmt: skip
 
 
 def roc(args: argparse.Namespace) -> int:
@@ -74,7 +83,7 @@ def roc(args: argparse.Namespace) -> int:
     config = configured(args)
     wanted = _wanted(args)
     out = folder(config.out)
-    judged = (_stance if kind == "stance" else _field)(args, config, names)
+    judged = {"stance": _stance, "field": _field, "straight": _straight}[kind](args, config, names)
     curves = judged.curves(seed=config.seed, upto=args.partial)
     points = {}
     for name, found in curves["all"].items():
@@ -107,14 +116,14 @@ def roc(args: argparse.Namespace) -> int:
 
 def _kind(args: argparse.Namespace) -> tuple[str, list[str]]:
     named = args.detectors or []
-    known = KINDS[args.kind] if args.kind else (*DETECTORS, *FIELD_DETECTORS)
+    known = KINDS[args.kind] if args.kind else [name for each in KINDS.values() for name in each]
     for name in named:
         if name not in known:
             raise InputError(f"detector '{name}' is unknown{suggest(name, known)}")
     kinds = {kind for kind, known in KINDS.items() if set(named) & set(known)} or {args.kind or "stance"}
     if len(kinds) > 1:
         raise InputError(
-            f"--detectors {' '.join(named)}: some judge stance and some the field; name those of one kind"
+            f"--detectors {' '.join(named)}: they judge {' and '.join(sorted(kinds))}; name those of one kind"
         )
     kind = kinds.pop()
     return kind, list(dict.fromkeys(named)) or list(KINDS[kind])
@@ -129,6 +138,7 @@ def _wanted(args: argparse.Namespace) -> Wanted:
         ("still_below", "speed in m/s"),
         ("same_field", "change in µT"),
         ("same_heading", "angle in degrees"),
+        ("bent_below", "angle in degrees"),
     ):
         if not getattr(args, option) > 0:
             value = getattr(args, option)
@@ -163,6 +173,15 @@ def _field(args: argparse.Namespace, config: Config, names: list[str]) -> Judged
         clock=config.clock,
         same_field=args.same_field,
         same_heading=args.same_heading,
+    )
+
+
+def _straight(args: argparse.Namespace, config: Config, names: list[str]) -> Judged:
+    system, params = resolve(config)
+    sensor = next(iter(sensor_names(system.needs, config.sensor).values()))
+    made = (read_labelled(path, args.format, sensor) for path in config.recordings)
+    return judge_straight(
+        system, params, made, names, sensor=sensor, clock=config.clock, bent_below=args.bent_below
     )
 
 

@@ -30,12 +30,13 @@ STRAIGHT, CURVED = np.radians(10.0), np.radians(30.0)
 
 
 class Windows(NamedTuple):
-    """N + 1 looks at the field each, the oldest first: `field (N + 1, 3, K)` µT in navigation axes, `yaw` rad
-    and `time (N + 1, K)` s."""
+    """N + 1 looks at the field each, the oldest first: `field (N + 1, 3, K)` µT in navigation axes, `yaw`
+    rad, `time (N + 1, K)` s and the `variance` rad² of that yaw to the filter."""
 
     field: np.ndarray
     yaw: np.ndarray
     time: np.ndarray
+    variance: np.ndarray
 
 
 class FieldWalk(NamedTuple):
@@ -111,7 +112,8 @@ def seen_windows(
         return np.moveaxis(np.lib.stride_tricks.sliding_window_view(x[at], steps + 1, axis=0), -1, 0)
 
     field = np.moveaxis(slid(track.more["magnetic_field"]), 1, 2)
-    return Windows(field, slid(track.euler[:, 2]), slid(track.time))
+    variance = track.sigma["attitude"][:, 2] ** 2
+    return Windows(field, slid(track.euler[:, 2]), slid(track.time), slid(variance))
 
 
 def stance_at(time: np.ndarray, truth: SensorTruth) -> np.ndarray:

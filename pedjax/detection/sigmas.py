@@ -19,7 +19,7 @@ from scipy.special import chdtr, chdtri
 
 from pedjax import parameters, rotations
 from pedjax.detection.field import STRAIGHT, Windows, field_walk, looks_at_field, seen_windows
-from pedjax.detectors.field import FieldParameters, azimuth, inclination, strength
+from pedjax.detectors.field import Aiez, FieldParameters, azimuth, inclination, strength
 from pedjax.errors import InputError
 from pedjax.recording import Clock, Recording
 from pedjax.simulation.truth import SensorTruth
@@ -106,8 +106,16 @@ def _of_ma(own: Any, seen: _Seen) -> dict[str, np.ndarray]:
     }
 
 
+def _of_aiez(own: Any, seen: _Seen) -> dict[str, np.ndarray]:
+    return {
+        "sigma_heading": _wrapped(seen.north - seen.azimuth[1:]),
+        "sigma_strength": seen.change(seen.strength),
+    }
+
+
 CHANNELS: dict[str, Callable[[Any, _Seen], dict[str, np.ndarray]]] = {
     "ma": _of_ma, "iqsf": _of_iqsf, "qsf": _of_strength, "qmd": _of_strength,
+    "aiez": _of_aiez,
 }  # fmt: skip
 """Detectors with sigmas of changes: `(own parameters, what was seen) -> changes (n, K)` by a sigma's name."""
 
@@ -278,7 +286,7 @@ def _doubts(
             f"windows count as with {KEEP:.0%}, and a sigma is {grows:.1f} times as large; take the sigmas "
             "for a guess"
         )
-    if own.per == "step" and getattr(own, "theta", "rate") == "rate":
+    if own.per == "step" and getattr(own, "theta", "rate") == "rate" and not isinstance(own, Aiez):
         most = {"sigma_heading": _SAME_HEADING, "sigma_strength": _SAME_FIELD}
         for name, allowed in most.items():
             if fit.sigma.get(name, 0.0) > allowed:

@@ -25,6 +25,7 @@ strides as the circular mean of 2π/Δ times their heading.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -32,7 +33,7 @@ import numpy as np
 from jax import Array
 
 from pedjax import rotations
-from pedjax.detectors.straight import circular_mean
+from pedjax.detectors.straight import Straight, circular_mean
 from pedjax.filters import kalman
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.kalman import Rows
@@ -43,6 +44,7 @@ _KIT = "kit choice"
 _DEGREE = 0.017453292519943295
 DIRECTED = ("hde", "ihde", "mihde", "von_mises")
 """Forms that go by dominant directions."""
+_ON = ("hdr", "slope", "integrator", *DIRECTED)
 
 
 def _sigma(value: float, what: str) -> Any:
@@ -200,7 +202,7 @@ class Heuristic:
     """Which form, beside what, and the numbers of all of them."""
 
     form: str = setting(
-        "none", choices=("none", "hdr", "slope", "integrator", *DIRECTED), source="none: not part of IEZ",
+        "none", choices=("none", *_ON), source="none: not part of IEZ",
         meaning="What straight walking says of the yaw; only the group of that name has an effect.",
     )  # fmt: skip
     beside: str = setting(
@@ -208,6 +210,7 @@ class Heuristic:
         meaning="Whether it counts only as far as the compass does not, by 1 - w of the field's weight w, "
         "or always.",
     )  # fmt: skip
+    straight: Straight = group(Straight, when={"form": _ON})
     hdr: Hdr = group(Hdr, when={"form": "hdr"})
     slope: Slope = group(Slope, when={"form": "slope"})
     integrator: Integrator = group(Integrator, when={"form": "integrator"})
@@ -216,6 +219,10 @@ class Heuristic:
     mihde: Mihde = group(Mihde, when={"form": "mihde"})
     von_mises: VonMises = group(VonMises, when={"form": "von_mises"})
     directions: Directions = group(Directions, when={"form": DIRECTED})
+
+    def only_counting(self) -> Heuristic:
+        """Strides are counted, and nothing is made of them."""
+        return replace(self, form="slope", slope=replace(self.slope, least=jnp.asarray(jnp.inf)))
 
 
 class Run(NamedTuple):

@@ -31,6 +31,14 @@ CHOICES = {
         {"compass.looking.per": "sample", "field.ma.theta": "level", "field.ma.per": "second"},
         {"compass.looking.levelling": "attitude", "compass.start": "given"},
     ],
+    "aiez": [
+        {},
+        {"heuristic.form": "von_mises", "heuristic.beside": "always", "tilt.rows": "level"},
+        {"heuristic.form": "hdr", "heuristic.straight.detector": "change", "tilt.rows": "euler"},
+        {"heuristic.form": "mihde", "heuristic.straight.heading": "yaw", "tilt.rows": "printed"},
+        {"heuristic.form": "hde", "compass.looking.per": "sample", "field.aiez.per": "second"},
+        {"heuristic.form": "integrator", "compass.recovery": "none", "initial.bias": "zero"},
+    ],
 }
 ALL = [pytest.param(n, c, id=f"{n}-{k}") for n, many in CHOICES.items() for k, c in enumerate(many)]
 QUICK = {"iez-0", "iez-1", "ma2018-0", "ma2018-5"}
@@ -130,7 +138,7 @@ def test_every_primitive_of_the_systems_is_known(name, changes):
 
 
 def test_every_system_is_among_the_choices():
-    assert set(CHOICES) == {"iez", "ma2018"}
+    assert set(CHOICES) == {"iez", "ma2018", "aiez"}
 
 
 def test_symmetric_matrices_are_kept_once():
