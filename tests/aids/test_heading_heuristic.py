@@ -22,9 +22,9 @@ STANDING = 715
 BARE = aided("bare", INERTIAL, (ZERO_VELOCITY,))
 WALKER = aided("walker", INERTIAL, (ZERO_VELOCITY, HEADING_HEURISTIC))
 GENTLE = {
-    "straight.strides": 2,
-    "straight.angle": 0.5,
-    "straight.width": 0.3,
+    "heuristic.straight.strides": 2,
+    "heuristic.straight.angle": 0.5,
+    "heuristic.straight.width": 0.3,
     "heuristic.slope.least": 3.0,
     "heuristic.slope.longest": 5.0,
     "heuristic.slope.far": 100.0,
@@ -164,7 +164,7 @@ def test_headings_turn_with_the_yaw(found):
     turner = aided("turner", INERTIAL, (ZERO_VELOCITY, turned_at(STANDING), HEADING_HEURISTIC))
     changes = {
         "heuristic__form": "integrator",
-        "straight__heading": "yaw",
+        "heuristic__straight__heading": "yaw",
         "heuristic__integrator__gain": 1e-8,
     }
     plain, turned = (over(s, found, **changes) for s in (WALKER, turner))

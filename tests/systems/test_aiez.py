@@ -67,9 +67,13 @@ def test_with_an_open_gate_and_nothing_beside_it_is_ma_2018(building):
 
 
 def test_without_compass_and_heuristic_it_is_iez(plain):
-    ours = aiez(compass__update="none", compass__start="given", compass__recovery="none", heuristic__form="none")
+    ours = aiez(
+        compass__update="none", compass__start="given", compass__recovery="none", heuristic__form="none"
+    )
     same = parameters.values(ours)
-    theirs = parameters.replace(IEZ.defaults(), {path: same[path] for path in parameters.values(IEZ.defaults())})
+    theirs = parameters.replace(
+        IEZ.defaults(), {path: same[path] for path in parameters.values(IEZ.defaults())}
+    )
     a, b = pedjax.run(plain.recording, AIEZ, ours), pedjax.run(plain.recording, IEZ, theirs)
     np.testing.assert_allclose(a.position, b.position, atol=1e-9)
 
