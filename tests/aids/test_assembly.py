@@ -8,7 +8,16 @@ from jax import Array
 
 import pedjax
 from pedjax import parameters
-from pedjax.aids import FIELD_RATE, MAGNETIC_HEADING, ZERO_ANGULAR_RATE, ZERO_VELOCITY, Aid, Measured, aided
+from pedjax.aids import (
+    FIELD_RATE,
+    HEADING_HEURISTIC,
+    MAGNETIC_HEADING,
+    ZERO_ANGULAR_RATE,
+    ZERO_VELOCITY,
+    Aid,
+    Measured,
+    aided,
+)
 from pedjax.errors import InputError
 from pedjax.filters.inertial import INERTIAL
 from pedjax.filters.kalman import Rows
@@ -101,7 +110,7 @@ def test_a_system_has_what_its_aids_have():
     assert (bare.needs, bare.gates, bare.magnetic) == ((Need("foot", False),), (), False)
     assert type(bare.defaults()).__name__ == "BareParameters"
     assert parameters.values(bare.defaults()) == parameters.values(INERTIAL.parameters())
-    for system, gates in ((IEZ, ("stance",)), (MA, ("stance", "field"))):
+    for system, gates in ((IEZ, ("stance", "straight")), (MA, ("stance", "field", "straight"))):
         assert system.gates == gates
         assert type(system.defaults()) is type(system.defaults())  # one class: programs are compiled for it
     assert not IEZ.magnetic
@@ -111,13 +120,14 @@ def test_a_system_has_what_its_aids_have():
     groups = [path.partition(".")[0] for path in parameters.values(MA.defaults())]
     assert list(dict.fromkeys(groups)) == [
         "gravity", "strapdown", "process", "initial", "stance", "gate", "updates", "field", "compass",
+        "heuristic",
     ]  # fmt: skip
 
 
 def test_it_asks_for_as_long_a_recording_as_its_aids():
     long = aid("long", shortest=lambda p: (3.0, "long.window_s"), opening_s=lambda p: 0.7)
     off = aid("off", shortest=lambda p: (9.0, "off.window_s"), is_on=lambda p: False)
-    made = aided("asks", INERTIAL, (ZERO_VELOCITY, long, off))
+    made = aided("asks", INERTIAL, (ZERO_VELOCITY, HEADING_HEURISTIC, long, off))
     assert made.shortest(made.defaults()) == (3.0, "long.window_s")
     assert IEZ.shortest(tools.iez(stance__shoe__window_s=8.0)) == (16.0, "stance.shoe.window_s")
     assert aided("bare", INERTIAL, ()).shortest(INERTIAL.parameters()) == (0.0, "")
@@ -153,7 +163,7 @@ def known_to(system, changes):
 def test_an_aid_that_is_off_costs_nothing(which):
     """It is as if it had been left out, operation by operation."""
     aids = SUBSETS[which]
-    made = aided("made", INERTIAL, aids)
+    made = aided("made", INERTIAL, (*aids, HEADING_HEURISTIC))  # its parameters and its gate are there if off
     whole = MA if MAGNETIC_HEADING in aids else IEZ
     changes = switches(aids)
     assert program(made, known_to(made, changes | OWN)) == program(whole, known_to(whole, changes))
@@ -162,6 +172,21 @@ def test_an_aid_that_is_off_costs_nothing(which):
         assert len(program(whole, known_to(whole, more))[1]) > len(
             program(whole, known_to(whole, changes))[1]
         )
+
+
+def test_an_aid_with_a_gate_that_is_off_adds_no_operation():
+    """Its numbers are given and its gate is told, and nothing is computed."""
+    with_it = aided("made", INERTIAL, (ZERO_VELOCITY, HEADING_HEURISTIC))
+    on, off, without = (
+        [text.count(" = ") for text in program(system, changes)]
+        for system, changes in (
+            (with_it, {"heuristic.form": "slope"}),
+            (with_it, {}),
+            (aided("made", INERTIAL, (ZERO_VELOCITY,)), {}),
+        )
+    )
+    assert off == without
+    assert on[1] > off[1]
 
 
 LOOSE = {"field.ma.threshold": 170.0, "initial.attitude": 0.02, "initial.gyroscope_bias": 0.01}

@@ -1,4 +1,4 @@
-"""Six field detectors against naive loops, and what their statistics are known to do."""
+"""Seven field detectors against naive loops, and what their statistics are known to do."""
 
 from functools import lru_cache
 
@@ -31,6 +31,12 @@ SETTINGS = {
         for f in ("mean", "energy")
         for p in ("step", "second")
     ],
+    "aiez": [
+        {"yaw_variance": v, "form": f, "per": p}
+        for v in BOTH
+        for f in ("energy", "mean")
+        for p in ("step", "second")
+    ],
     "vector": [{}],
 }
 
@@ -41,10 +47,10 @@ def chosen(detector, steps=3, **own):
 
 
 def windows(looks, steps):
-    """Windows of `field (K, 3)`, `yaw`, `time (K,)`, side by side in lanes `(K - N,)`."""
-    b, yaw, time = (jnp.asarray(x) for x in looks)
-    stop = len(yaw) - steps
-    return tuple(Look(b[k : k + stop].T, yaw[k : k + stop], time[k : k + stop]) for k in range(steps + 1))
+    """Windows of `field (K, 3)`, `yaw`, `time`, `variance (K,)`, side by side in lanes `(K - N,)`."""
+    b, *rest = (jnp.asarray(x) for x in looks)
+    stop = len(b) - steps
+    return tuple(Look(b[k : k + stop].T, *(x[k : k + stop] for x in rest)) for k in range(steps + 1))
 
 
 @jax.jit
@@ -59,12 +65,13 @@ def looks():
     b = MUNICH + np.cumsum(rng.normal(0, 4.0, (COUNT, 3)), axis=0)
     b[11, :2] *= -1  # through the cut of the angle
     yaw = np.cumsum(rng.normal(0, 0.9, COUNT))
-    return b, yaw, np.cumsum(rng.uniform(0.9, 1.4, COUNT))
+    return b, yaw, np.cumsum(rng.uniform(0.9, 1.4, COUNT)), rng.uniform(0.0, 0.02, COUNT)
 
 
 def expected(p, looks, north=NORTH):
     """The statistic over its threshold, from loops."""
     own, n = getattr(p, p.detector), p.window
+    *looks, variance = looks
     if p.detector in ("qsf", "qmd"):
         return naive.qsf(*looks, n, own.sigma_strength, own.form, own.per) / own.threshold
     if p.detector == "magyq":
@@ -75,6 +82,10 @@ def expected(p, looks, north=NORTH):
     if p.detector == "ma":
         sigmas = (own.sigma_heading, own.sigma_inclination, own.sigma_strength)
         return naive.ma(*looks, n, sigmas, own.theta, own.absolute, own.form, own.per, north) / own.threshold
+    if p.detector == "aiez":
+        sigmas = (own.sigma_heading, own.sigma_strength)
+        found = naive.aiez(*looks, variance, n, sigmas, own.yaw_variance, own.form, own.per, north)
+        return found / own.threshold
     worst, largest = naive.vector(*looks, n, own.sigma_field, own.sigma_tilt, own.sigma_yaw)
     return worst / np.asarray(
         field.noncentral_quantile(jnp.asarray(own.false_alarm), 3.0, own.change**2 / largest)
@@ -137,7 +148,7 @@ def test_a_mean_never_exceeds_the_energy_of_its_window(looks, absolute):
         )
         assert (mean <= energy + np.log(steps) + 1e-12).all()
     turn = 0.1 * np.arange(COUNT)
-    even = np.stack([20 * np.cos(turn), 20 * np.sin(turn), 0 * turn], 1), turn, 1.0 + turn
+    even = np.stack([20 * np.cos(turn), 20 * np.sin(turn), 0 * turn], 1), turn, 1.0 + turn, 0 * turn
     mean, energy = (
         ratios(chosen("ma", form=f, absolute=absolute), windows(even, 3)) for f in ("mean", "energy")
     )
@@ -155,7 +166,7 @@ def drawn(count, steps, seed):
         [size * np.cos(dip) * np.cos(azimuth), size * np.cos(dip) * np.sin(azimuth), -size * np.sin(dip)]
     )
     zero = jnp.zeros(count)
-    return tuple(Look(jnp.asarray(b[:, k]), zero, zero) for k in range(steps + 1))
+    return tuple(Look(jnp.asarray(b[:, k]), zero, zero, zero) for k in range(steps + 1))
 
 
 def test_absolute_values_more_than_double_the_mean_of_the_statistic():
@@ -180,7 +191,7 @@ def seen(rng, places, sigma=0.1, tilt=THIRD, yaw=THIRD):
             drift = drift + rng.normal(0, 1, drift.shape) * np.array([tilt, tilt, yaw])[:, None]
         found.append(b + np.cross(drift, b, axis=0) + rng.normal(0, sigma, b.shape))
     zero = jnp.zeros(places.shape[2])
-    return tuple(Look(jnp.asarray(b), zero, zero) for b in found)
+    return tuple(Look(jnp.asarray(b), zero, zero, zero) for b in found)
 
 
 def statistic(p, window):
@@ -244,11 +255,13 @@ def test_normal_quantile_and_rising_limits():
     assert (jnp.diff(field.noncentral_quantile(jnp.asarray(0.1), 3.0, jnp.linspace(0, 80, 99))) > 0).all()
 
 
-def passes(detector, b, yaw=None, **own):
+def passes(detector, b, yaw=None, variance=0.0, **own):
     """Whether each window of looks a second apart is quasi-static."""
     b = np.asarray(b, float)
-    yaw = np.zeros(len(b)) if yaw is None else yaw
-    return np.asarray(ratios(chosen(detector, 3, **own), windows((b, yaw, 1.0 * np.arange(len(b))), 3))) < 0
+    count = len(b)
+    yaw = np.zeros(count) if yaw is None else yaw
+    looks = b, yaw, 1.0 * np.arange(count), np.full(count, variance)
+    return np.asarray(ratios(chosen(detector, 3, **own), windows(looks, 3))) < 0
 
 
 def rotating(angle):
@@ -287,12 +300,31 @@ def test_the_level_tells_a_steady_field_that_points_elsewhere():
     assert passes("ma", rotating(np.full(6, NORTH + 0.05)), theta="level").all()
 
 
+def test_the_level_passes_as_far_as_the_yaw_is_unsure():
+    """A steady field 0.3 rad off north is over 4 sigma of 0.07 rad, and one of a yaw unsure by 0.3 rad."""
+    away = rotating(np.full(6, NORTH + 0.3))
+    assert not passes("aiez", away).any()
+    assert passes("aiez", away, variance=0.09).all()
+    assert not passes("aiez", away, variance=0.09, yaw_variance=False).any()
+    assert passes("aiez", rotating(np.full(6, NORTH + 0.1))).all()
+
+
+def test_the_difference_of_headings_has_no_step_at_half_a_turn():
+    """On either side of south, where the difference jumps from one end to the other, it counts the same."""
+    south = rotating(-NORTH + np.array([1e-6, -1e-6, 1e-6, -1e-6]))
+    looks = (south, np.zeros(4), 1.0 * np.arange(4), np.zeros(4))
+    found = ratios(chosen("aiez"), windows(looks, 3))
+    p = chosen("aiez").aiez
+    np.testing.assert_allclose(np.exp(found) * p.threshold, (np.pi / p.sigma_heading) ** 2, rtol=1e-5)
+
+
 NUMBERS = {
     "qsf": ("threshold", "sigma_strength"),
     "qmd": ("threshold", "sigma_strength"),
     "magyq": ("variance", "outlier"),
     "iqsf": ("threshold", "sigma_heading", "sigma_strength"),
     "ma": ("threshold", "sigma_heading", "sigma_inclination", "sigma_strength"),
+    "aiez": ("threshold", "sigma_heading", "sigma_strength"),
     "vector": ("false_alarm", "change", "sigma_field", "sigma_tilt", "sigma_yaw"),
 }
 
@@ -335,6 +367,13 @@ def test_gradients_equal_differences_through_the_soft_gate(looks, detector):
         )
         difference = (value(p, values, up, width) - value(p, values, down, width)) / (2 * h)
         assert by_window[1].field[0, lane] == pytest.approx(float(difference), rel=2e-5, abs=1e-10)
+    if detector == "aiez":
+        up, down = (
+            (*window[:3], window[3]._replace(variance=window[3].variance.at[7].add(s))) for s in (h, -h)
+        )
+        difference = (value(p, values, up, width) - value(p, values, down, width)) / (2 * h)
+        assert difference != 0.0
+        assert by_window[3].variance[7] == pytest.approx(float(difference), rel=2e-5, abs=1e-10)
 
 
 FIELDS = {
@@ -355,7 +394,7 @@ def test_dead_fields_have_finite_statistics_and_gradients(detector, dtype):
     given = np.stack(list(FIELDS.values()), axis=-1).astype(dtype)
     lanes = given[..., np.arange(COUNT - 3) % len(FIELDS)]
     zero = jnp.zeros(lanes.shape[-1], dtype)
-    window = tuple(Look(jnp.asarray(b), zero, zero) for b in lanes)
+    window = tuple(Look(jnp.asarray(b), zero, zero, zero) for b in lanes)
     assert np.isfinite(ratios(p, window)).all()
     for width in (0.0, 0.5):
         found = slopes()(p, values, window, jnp.asarray(width, dtype))
@@ -365,14 +404,14 @@ def test_dead_fields_have_finite_statistics_and_gradients(detector, dtype):
 
 @pytest.mark.parametrize("detector", FIELD_DETECTORS)
 def test_a_field_that_is_not_a_number_is_not_quasi_static(looks, detector):
-    b, yaw, time = (x.copy() for x in looks)
+    b, *rest = (x.copy() for x in looks)
     b[6, 1] = np.nan
-    found = np.asarray(gate(ratios(chosen(detector), windows((b, yaw, time), 3)), 0.0))
+    found = np.asarray(gate(ratios(chosen(detector), windows((b, *rest), 3)), 0.0))
     assert (found[3:7] == 0).all()
 
 
 def test_padding_two_looks_at_one_time_is_finite(looks):
-    b, yaw, time = looks
-    window = windows((b, yaw, 0 * time), 3)
-    for detector in ("ma", "iqsf", "qsf"):
+    b, yaw, time, variance = looks
+    window = windows((b, yaw, 0 * time, variance), 3)
+    for detector in ("ma", "iqsf", "qsf", "aiez"):
         assert np.isfinite(ratios(chosen(detector, per="second"), window)).all()

@@ -10,7 +10,7 @@ import pytest
 from pedjax import parameters, rotations
 from pedjax.calibration import Calibration, apply
 from pedjax.filters import compass, measurements
-from pedjax.filters.compass import HeadingNoise, Level, Looking
+from pedjax.filters.compass import Foot, HeadingNoise, Level, Looking
 from pedjax.filters.strapdown import still_at_origin
 from pedjax.systems import system
 from tests.reference import field as naive
@@ -151,14 +151,15 @@ DT = 0.01
 
 
 @partial(jax.jit, static_argnames=("looking", "steps"))
-def watch(looking, level, attitude, force, mag, dt, still, steps=3):
+def watch(looking, level, attitude, force, mag, dt, still, variance=None, steps=3):
     """All samples `(T, ...)` of one foot, as the filter's step goes through them."""
 
-    def one(state, sample):
-        attitude, force, mag, dt, still = sample
-        return compass.look(looking, level, state, attitude, force, mag, dt, still)
+    def one(state, foot):
+        return compass.look(looking, level, state, foot)
 
-    return jax.lax.scan(one, compass.first(attitude[0], steps), (attitude, force, mag, dt, still))
+    variance = jnp.zeros_like(dt) if variance is None else variance
+    samples = Foot(attitude, variance, force, mag, dt, still)
+    return jax.lax.scan(one, compass.first(attitude[0], steps), samples)
 
 
 def stances(*lengths, count=None):
@@ -218,6 +219,22 @@ def test_every_still_sample():
     np.testing.assert_array_equal(looked(still, per="sample", settle_s=0.05), np.arange(4, 12))
 
 
+def test_a_window_of_samples_lies_within_one_stance():
+    """Looks are counted anew once the foot has moved long enough to end the stance; those of steps go on."""
+
+    def follow(still, **settings):
+        count = len(still)
+        given = (*turning(count), np.full(count, DT), still)
+        end, _ = watch(parameters.replace(Looking(), settings), Level(), *(jnp.asarray(x) for x in given))
+        return float(end.follow), float(end.many)
+
+    every = {"per": "sample", "settle_s": 0.0}
+    assert follow(stances(12, 5, 4), **every) == (16, 16)  # a gap is not the end
+    assert follow(stances(12, 20, 4), **every) == (4, 16)
+    assert follow(stances(12, 20), **every) == (0, 12)
+    assert follow(stances(30, 20, 30, 20, 30)) == (3, 3)
+
+
 def test_padding_does_not_look():
     assert not len(looked(stances(40), dt=0.0))
     assert not len(looked(stances(40), dt=0.0, per="sample"))
@@ -239,7 +256,8 @@ def test_looks_equal_a_naive_foot(per, levelling, soft):
     foot = turning(count)
     p = parameters.replace(Looking(), {"per": per, "levelling": levelling})
     level = parameters.replace(Level(), CALIBRATED)
-    end, now = watch(p, level, *(jnp.asarray(x) for x in (*foot, dt, still)))
+    variance = np.cumsum(rng.uniform(0.0, 1e-4, count))
+    end, now = watch(p, level, *(jnp.asarray(x) for x in (*foot, dt, still, variance)))
     other = naive.Foot(
         naive.MagneticSettings(
             per=per,
@@ -249,13 +267,16 @@ def test_looks_equal_a_naive_foot(per, levelling, soft):
         ),
         foot[0][0],
     )
-    saw = [other.see(*(x[k] for x in (*foot, dt, still))) for k in range(count)]
+    saw = [other.see(*(x[k] for x in (*foot, dt, still, variance))) for k in range(count)]
     np.testing.assert_array_equal(now, saw)
     assert sum(saw) >= 4
     for ours, theirs in zip(end.window, other.looks[-4:], strict=True):
         np.testing.assert_allclose(ours.field, theirs.field, atol=1e-9)
         assert ours.yaw == pytest.approx(theirs.yaw, abs=1e-9)
         assert ours.time == pytest.approx(theirs.time, abs=1e-9)
+        assert ours.variance == theirs.variance
+    assert end.many == len(other.looks)
+    assert end.follow == other.together
 
 
 @pytest.mark.parametrize("levelling", ["force", "attitude"])

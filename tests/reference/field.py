@@ -156,6 +156,34 @@ def ma(
     return trailing(field, yaw, time, N, one)
 
 
+def aiez(
+    field: Array,
+    yaw: Array,
+    time: Array,
+    variance: Array,
+    N: int,
+    sigmas: tuple[float, float],
+    yaw_variance: bool,
+    form: str,
+    per: str,
+    north: float,
+) -> Array:
+    """Zhang: the difference of magnetic and inertial heading itself, of the N last looks, each over its own
+    sigma and, with ``yaw_variance``, that of the yaw; and the change of strength."""
+    out = np.full(len(field), np.inf)
+    for k in range(N, len(field)):
+        y_heading = []
+        for i in range(k - N + 1, k + 1):
+            known = sigmas[0] ** 2
+            if yaw_variance:
+                known += variance[i]
+            y_heading.append(wrapped(north - azimuth(field[i])) / np.sqrt(known))
+        sizes = [strength(b) for b in field[k - N : k + 1]]
+        y_strength = changes(sizes, time[k - N : k + 1], per, False, False)
+        out[k] = summed(y_heading, form) + summed(y_strength, form) / sigmas[1] ** 2
+    return out
+
+
 def change_covariance(b: Array, sigma: float, tilt: float, yaw: float) -> Array:
     """Of the difference of two looks at the field ``b`` uT: noise of both, and the turn between them."""
     cross = dense.skew(b)
@@ -236,6 +264,7 @@ class Seen(NamedTuple):
     field: Array
     yaw: float
     time: float
+    variance: float  # of the yaw
 
 
 class Foot:
@@ -246,15 +275,18 @@ class Foot:
         self.total, self.seconds, self.stood = np.zeros(3), 0.0, 0.0
         self.moving, self.used, self.time = 0.0, False, 0.0
         self.looks: list[Seen] = []
+        self.together = 0  # looks that may be judged together
 
-    def see(self, C: Array, force: Array, mag: Array, dt: float, still: float) -> bool:
-        """One sample; whether it looked just now."""
+    def see(self, C: Array, force: Array, mag: Array, dt: float, still: float, variance: float = 0.0) -> bool:
+        """One sample, with the variance of the yaw then; whether it looked just now."""
         s = self.settings
         here = levelled(C, force, mag, s.offset, s.soft, s.levelling)
         self.time += dt
         self.moving = 0.0 if still > 0.5 else self.moving + dt
         if self.moving > s.gap + dt / 2:
             self.stood = 0.0
+            if s.per == "sample":  # a window of samples lies within one stance
+                self.together = 0
         if s.per == "sample" or self.moving > s.gap + dt / 2:
             self.total, self.seconds, self.used = np.zeros(3), 0.0, False
         self.stood += still * dt
@@ -267,15 +299,17 @@ class Foot:
         else:
             looks = self.stood + dt / 2 >= s.settle + s.dwell and not self.used and dt > 0
         if looks:
-            self.looks.append(Seen(self.total / self.seconds, twist(C @ self.first.T), self.time))
+            place = self.total / self.seconds
+            self.looks.append(Seen(place, twist(C @ self.first.T), self.time, variance))
             self.used = True
+            self.together += 1
         return looks
 
     def turn(self, t: Array) -> None:
         """What was seen, with an attitude that the rotation vector ``t`` corrected."""
         yaw = float(t[2])
         R = dense.rotation(np.array([0.0, 0.0, yaw]) if self.settings.levelling == "force" else t)
-        self.looks = [Seen(R @ x.field, x.yaw + yaw, x.time) for x in self.looks]
+        self.looks = [Seen(R @ x.field, x.yaw + yaw, x.time, x.variance) for x in self.looks]
         self.total = R @ self.total
 
 
@@ -333,7 +367,8 @@ def run_magnetic(
             dx, P = dense.weighted_update(P, H_zupt, R, -v, float(weight_zupt[k]))
             x = dense.apply_error(dx, *x)
 
-        looked = foot.see(x[0], specific_force[k], magnetic_field[k], step, float(weight_zupt[k]))
+        still, unsure = float(weight_zupt[k]), float(P[2, 2])
+        looked = foot.see(x[0], specific_force[k], magnetic_field[k], step, still, unsure)
         if looked:
             seen = foot.looks[-1]
             now, far = gated(foot, magnetic), 0.0
@@ -375,10 +410,10 @@ def run_magnetic(
 
 def gated(foot: Foot, s: MagneticSettings) -> float:
     """How far the last looks are quasi-static to Ma's detector, 0 to 1."""
-    if len(foot.looks) <= s.steps:
+    if foot.together <= s.steps:
         return 0.0
     last = foot.looks[-1 - s.steps :]
-    field, yaw, time = (np.array([getattr(x, name) for x in last]) for name in Seen._fields)
+    field, yaw, time = (np.array([getattr(x, name) for x in last]) for name in ("field", "yaw", "time"))
     found = ma(field, yaw, time, s.steps, s.sigmas, "rate", True, "mean", "step", s.north)[-1]
     if s.width == 0.0:
         return float(found < s.threshold)

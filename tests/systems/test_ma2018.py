@@ -524,7 +524,7 @@ CHOICES = [
     {"compass.update": "differential", "compass.row": "simple", "compass.looking.per": "sample"},
     {"field.straight_through": True, "field.width": 0.3},
     {"compass.hard_iron": "tracked", "compass.update": "anchored", "compass.gyroscope_rows": True},
-    *({"field.detector": d} for d in ("qsf", "qmd", "magyq", "iqsf", "vector")),
+    *({"field.detector": d} for d in ("qsf", "qmd", "magyq", "iqsf", "aiez", "vector")),
 ]
 """What no dense filter is there for."""
 
@@ -563,9 +563,9 @@ def test_ratios_of_looks_are_those_of_the_run(building):
     at = np.flatnonzero(track.more["look"] > 0)
     b, yaw, time = (x[at] for x in (track.more["magnetic_field"], track.euler[:, 2], track.time))
     stop = len(at) - 3
-    window = tuple(
-        Look(*map(jnp.asarray, (b[k : k + stop].T, yaw[k : k + stop], time[k : k + stop]))) for k in range(4)
-    )
+    variance = track.sigma["attitude"][at, 2] ** 2
+    looks = (b, yaw, time, variance)
+    window = tuple(Look(*(jnp.asarray(x[k : k + stop].T) for x in looks)) for k in range(4))
     found = track.gates["field"].log_ratio[at]
     np.testing.assert_allclose(found[3:], log_ratio(p.field, window, jnp.asarray(np.pi / 2)), atol=1e-9)
     assert (found[:3] == 10).all()
