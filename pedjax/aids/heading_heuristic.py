@@ -3,7 +3,8 @@
 The strides are counted by the clock of stances; a detector tells whether the last ones were straight, and the
 form that is on (`heuristic.form`) makes a measurement of them. Beside a compass it counts as far as the
 compass does not: two rows with the weights w and 1 − w. (Zhang, Eq. 31-32, mixes the two innovations, and the
-two variances, of one row, which for 0 < w < 1 is a heading that neither of them told.)
+two variances, of one row, which for 0 < w < 1 is a heading that neither of them told.) A stride ends before
+its stance's look, so w is that of the look before.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ Each form is a function of what is known when a stride has ended, and gives a me
   is the row's weight: w = π N(E; 0, S)/(π N(E; 0, S) + (1 − π)/Δ) with S = σ² + P_ψψ.
 
 The constants of the papers by Borenstein and by Jimenez were not at hand: these are the kit's.
-Dominant directions are Δ apart, 90 or 45 degrees; they are given, or learnt from the walk's first straight
-strides as the circular mean of 2π/Δ times their heading.
+Dominant directions are Δ apart, 90 degrees unless said otherwise; they are given, or learnt from the walk's
+first straight strides as the circular mean of 2π/Δ times their heading.
 """
 
 from __future__ import annotations
@@ -54,26 +54,26 @@ def _sigma(value: float, what: str) -> Any:
     )  # fmt: skip
 
 
-def _tolerance(value: float) -> Any:
+def _tolerance(value: float, form: str) -> Any:
     return leaf(
         value, unit="rad", low=1e-3, high=3.2, source=_KIT, tune=True,
-        meaning="Deviation from a dominant direction at which a stride counts for less; raised, strides "
-        "across the building count, too.",
+        meaning=f"Deviation from a dominant direction at which a stride counts for less in {form}; raised, "
+        "strides across the building count, too.",
     )  # fmt: skip
 
 
-def _gain(value: float) -> Any:
+def _gain(value: float, form: str) -> Any:
     return leaf(
         value, unit="rad/s", low=1e-8, high=1e-2, source=_KIT, tune=True,
-        meaning="By how much the gyroscope's bias moves at each straight stride; raised, drift is taken "
-        "off sooner and less smoothly.",
+        meaning=f"By how much {form} moves the gyroscope's bias at each straight stride; raised, drift is "
+        "taken off sooner and less smoothly.",
     )  # fmt: skip
 
 
-def _softness(unit: str, value: float) -> Any:
+def _softness(unit: str, value: float, what: str) -> Any:
     return leaf(
         value, unit=unit, low=1e-6, high=1.0, source=f"{_KIT}: almost a sign", tune=True,
-        meaning="Size below which a deviation counts in proportion, not by its sign alone; raised, small "
+        meaning=f"Size of {what} below which it counts in proportion, not by its sign alone; raised, small "
         "ones move the bias less.",
     )  # fmt: skip
 
@@ -115,30 +115,32 @@ class Slope:
 class Integrator:
     """HDR of Borenstein and Ojeda 2009."""
 
-    gain: Array = _gain(5e-6)
-    softness: Array = _softness("rad/s", 1e-3)
+    gain: Array = _gain(5e-6, "the integrator")
+    softness: Array = _softness("rad/s", 1e-3, "a turn")
 
 
 @parameters
 class Hde:
     """HDE of Borenstein and Ojeda 2010."""
 
-    gain: Array = _gain(7e-6)
-    softness: Array = _softness("rad", 0.01)
+    gain: Array = _gain(7e-6, "HDE")
+    softness: Array = _softness("rad", 0.01, "a deviation")
 
 
 @parameters
 class Ihde:
     """iHDE of Jimenez 2011."""
 
-    sigma: Array = _sigma(0.1, "a stride about its dominant direction")
-    tolerance: Array = _tolerance(6 * _DEGREE)
+    sigma: Array = _sigma(0.1, "a stride about its direction in iHDE")
+    tolerance: Array = _tolerance(6 * _DEGREE, "iHDE")
 
 
 @parameters
 class Mihde(Ihde):
     """MiHDE of Jimenez 2012."""
 
+    sigma: Array = _sigma(0.1, "a stride about its direction in MiHDE")
+    tolerance: Array = _tolerance(6 * _DEGREE, "MiHDE")
     compass: Array = leaf(
         20 * _DEGREE, unit="rad", low=1e-3, high=3.2, source=_KIT, tune=True,
         meaning="Deviation of the direction from the magnetic heading at which a stride counts for less; "
@@ -192,8 +194,8 @@ class Directions:
     )  # fmt: skip
     memory: Array = leaf(
         6.0, unit="1", low=1.0, high=1e6, source=f"{_KIT}: the first strides", when={"known": "learnt"},
-        meaning="Over how many straight strides they are averaged at most; with no more than `strides` they "
-        "stay as first learnt; raised, they follow what the walk does later, the more slowly.",
+        meaning="Over how many straight strides they are averaged; with no more than `strides` they stay as "
+        "first learnt; raised, they follow later strides slowly.",
     )  # fmt: skip
 
 
@@ -307,7 +309,8 @@ def _hde(p: Hde, seen: Walked) -> Told:
 
 def _directed(axis: Directions, seen: Walked, sure: Array, sigma: Array) -> Told:
     """A row on yaw by the nearest direction; it counts as far as a stride is `sure (*L)` to go along it."""
-    left = jnp.maximum(1 - axis.error**2 / seen.P["tt"][2, 2], 0.0)
+    of_yaw = jnp.maximum(seen.P["tt"][2, 2], 1e-12)
+    left = jnp.maximum(1 - axis.error**2 / of_yaw, 0.0)
     return Told(seen.straight * seen.known * sure * left, _on_yaw(-seen.away, sigma))
 
 

@@ -48,7 +48,7 @@ class RivalParameters:
         "to turn the filter.",
     )  # fmt: skip
     former: Array = leaf(
-        9.0, unit="1", low=0.1, high=1e3, source=f"{_KIT}: about three looks", tune=True,
+        9.0, unit="1", low=0.1, high=1e3, source=f"{_KIT}: two or three looks", tune=True,
         meaning="Log odds against the heading that was last given up; raised, it takes more looks to return "
         "to it.",
     )  # fmt: skip
@@ -124,10 +124,10 @@ def judged(p: RivalParameters, rivals: Rivals, look: Look, dt: Array) -> tuple[R
     kept = jnp.where(look.now > 0, p.memory, 1.0)
 
     def moved(rival: Rival, start: Array) -> tuple[Rival, Array]:
+        is_one = rival.variance < 0.5 * _NOTHING
         away = rotations.wrap(look.innovation - rival.turn)
         likely, about = _likelihood(p, away, look.variance + rival.variance)
-        gained = jnp.maximum(kept * (rival.odds + start) + count * (likely - own), 0.0)
-        is_one = rival.variance < 0.5 * _NOTHING
+        gained = jnp.maximum(kept * (rival.odds + start) + count * is_one * (likely - own), 0.0)
         gain = look.now * about * rival.variance / (rival.variance + look.variance) * is_one
         turn = rotations.wrap(rival.turn + gain * away)
         new = Rival(turn, (1 - gain) * rival.variance, gained - start, rival.since)

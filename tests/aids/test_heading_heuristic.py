@@ -177,7 +177,6 @@ def test_headings_turn_with_the_yaw(found):
     np.testing.assert_allclose(*ratios, atol=0.02)
 
 
-@pytest.mark.xfail(strict=True, reason="the last stride's place does not move with a correction of position")
 def test_strides_turn_with_the_path(found):
     """The same by where the foot went: the place that a stride begins at is turned, too."""
     turner = aided("turner", INERTIAL, (ZERO_VELOCITY, turned_at(STANDING), HEADING_HEURISTIC))

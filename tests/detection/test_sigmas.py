@@ -66,7 +66,8 @@ def test_sigmas_stay_within_their_bounds():
 def some_windows(rng):
     """Windows of looks at a field that changes at random, while the foot turns at random."""
     field = np.array([2.0, 20.0, -40.0])[None, :, None] + rng.normal(size=(4, 3, 60))
-    return Windows(field, rng.normal(size=(4, 60)), np.cumsum(rng.uniform(0.8, 1.5, (4, 60)), axis=0))
+    time = np.cumsum(rng.uniform(0.8, 1.5, (4, 60)), axis=0)
+    return Windows(field, rng.normal(size=(4, 60)), time, np.zeros((4, 60)))
 
 
 @pytest.mark.parametrize(
@@ -143,4 +144,4 @@ def wild(rng, sizes):
     field = np.array([0.0, 20.0, -40.0]) + rng.normal(size=(len(sizes), 3)) * sizes[:, None]
     slid = np.lib.stride_tricks.sliding_window_view(field, 4, axis=0)  # (K, 3, 4)
     flat = np.zeros((4, len(slid)))
-    return Windows(np.moveaxis(slid, (2, 1), (0, 1)), flat, flat + np.arange(4.0)[:, None])
+    return Windows(np.moveaxis(slid, (2, 1), (0, 1)), flat, flat + np.arange(4.0)[:, None], flat)

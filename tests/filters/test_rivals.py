@@ -154,9 +154,6 @@ def test_looks_all_over_the_place_turn_nothing():
     assert (after.former.variance > 0.99e4).all()
 
 
-@pytest.mark.xfail(
-    strict=True, reason="a former that is none gains odds: N(e; 0, 1e4) is no share of nothing"
-)
 @pytest.mark.parametrize("own", [{"outliers": 0.005}, {"former": 0.1}])
 def test_what_is_none_never_takes_over(own):
     """Looks all over the place, with numbers within their bounds: what takes over is a rival."""

@@ -193,8 +193,10 @@ class Rivals:
         for rival, start in ((self.fresh, -p.fresh), (self.former, -p.former)):
             off = wrapped(innovation - rival.turn)
             theirs, about = likelihood(p, off, noise + rival.variance)
-            rival.odds = max((rival.odds - start) * p.memory + start + counts * (theirs - own), start)
-            if rival.variance < 0.5 * NOTHING:  # it is one: it learns as far as the look is about it
+            is_one = rival.variance < 0.5 * NOTHING
+            moves = counts * (theirs - own) if is_one else 0.0
+            rival.odds = max((rival.odds - start) * p.memory + start + moves, start)
+            if is_one:  # it learns as far as the look is about it
                 gain = about * rival.variance / (rival.variance + noise)
                 rival.turn = wrapped(rival.turn + gain * off)
                 rival.variance *= 1 - gain
