@@ -130,7 +130,7 @@ def _run(
     begins = goes_on & (run.strides < 0.5)
     first = jnp.where(begins, heading, run.heading), jnp.where(begins, time, run.time)
     y, t = rotations.wrap(heading - first[0]), time - first[1]
-    one = jnp.where(goes_on, 1.0, 0.0)
+    one = jnp.where(goes_on, is_straight, 0.0)  # a stride counts as far as it is straight
     new = Run(*first, jnp.ones_like(t), t, t * t, y, t * y, up)
     sums = [total + one * x for total, x in zip(run[2:], new[2:], strict=True)]
     run = Run(*first, *sums)
