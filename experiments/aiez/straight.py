@@ -16,7 +16,7 @@ from tqdm import tqdm
 from experiments import presets
 from experiments.aiez import made
 from experiments.table import Row, row
-from pedjax.output import write_table
+from pedjax.output import atomic, write_table
 
 CURVED = ("mall", "mall-gentle")
 STRAIGHT = ("office-loop", "teaching-building")
@@ -85,6 +85,22 @@ def _write(found: dict[tuple[str, str, str], list[tuple[float, float]]], out: Pa
         )  # fmt: skip
         print(*(f"{v:.3f}" if isinstance(v, float) else v for v in lines[-1].values()), sep="  ", flush=True)
     write_table(out / "heuristics.csv", {key: [line[key] for line in lines] for key in lines[0]})
+    atomic(out / "heuristics.md", lambda file: file.write(markdown(lines).encode()))
+
+
+def markdown(lines: list[dict[str, Any]]) -> str:
+    """The table as the guide has it: a line for each form, a column for each place and system."""
+    told = {(x["place"], x["beside"], x["form"]): x for x in lines}
+    columns = [(place, system) for place in (*CURVED, *STRAIGHT) for system in SYSTEMS]
+    rows = ["| form | " + " | ".join(f"{place}, {system}" for place, system in columns) + " |"]
+    rows.append("|---" * (len(columns) + 1) + "|")
+    for form in list(FORMS)[1:]:
+        cells = []
+        for place, system in columns:
+            x = told.get((place, system, form))
+            cells.append("" if x is None else f"{float(x['of_none']):.2f} ({float(x['worst_of_none']):.2f})")
+        rows.append(f"| {form} | " + " | ".join(cells) + " |")
+    return "\n".join(rows) + "\n"
 
 
 def _rows(found: dict[tuple[str, str, str], list[tuple[float, float]]]) -> list[Row]:
