@@ -118,7 +118,8 @@ def test_each_column_has_its_type(whole):
     schema = pq.read_schema(keep.part_path(whole, 0))
     words, number = pa.dictionary(pa.int32(), pa.string()), pa.float64()
     wanted = {"run": pa.int64(), "round": pa.int32(), "recording": words, "fingerprint": words}
-    wanted |= {"healthy": pa.bool_(), "status": pa.int32(), "stance_fraction": number}
+    wanted |= {"healthy": pa.bool_(), "status": pa.int32()}
+    wanted |= {"stance_fraction": number, "straight_fraction": number}
     wanted |= dict.fromkeys((*RANGES, *(kind.column for kind in told_with("armse"))), number)
     assert dict(zip(schema.names, schema.types, strict=True)) == wanted
     for n in range(1, 4):
