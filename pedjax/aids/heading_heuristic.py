@@ -17,6 +17,7 @@ from jax import Array
 
 from pedjax import rotations
 from pedjax.aids.aid import Aid, Measured, Seen
+from pedjax.aids.zero_velocity import TELL_NO_YAW
 from pedjax.detectors import straight
 from pedjax.detectors.clock import StanceClock, started, tick
 from pedjax.detectors.straight import Straight
@@ -94,12 +95,21 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
             "system with a compass"
         )
     bent = jnp.exp(jnp.minimum(ratio, 5.0))
-    seconds = times[-1] - times[-2] if len(times) > 1 else times[-1]
     walked = Walked(
-        headings, seconds, is_straight, bent, away, known, run, over, nav.attitude[2], compass, from_.P
+        headings,
+        times[-1] - times[-2],
+        is_straight,
+        bent,
+        away,
+        known,
+        run,
+        over,
+        nav.attitude[2],
+        compass,
+        from_.P,
     )
     told = heuristics.FORMS[q.form](q, walked)
-    weight = jnp.where(now > 0, told.weight, 0.0) * jnp.where(whole | (over > 0), 1.0, 0.0)
+    weight = jnp.where(whole | (over > 0), told.weight, 0.0)
     if q.beside == "complement" and "quasi_static" in from_.more:
         weight = weight * (1 - from_.more["quasi_static"])
     moved = None
@@ -117,7 +127,7 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
         "straightness": bent,
     }
     rows = told.rows
-    gated = Gated(jnp.where(now > 0, is_straight, 0.0), jnp.where(whole, ratio, 10.0))
+    gated = Gated(is_straight, jnp.where(whole, ratio, 10.0))
     return Measured(new, rows, None if rows is None else weight, gated, more, moved)
 
 
@@ -142,7 +152,7 @@ def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any
     """Headings turn with whatever turns the yaw: a stride is straight by the gyroscope. Zhang's HDR takes
     what it made of earlier strides for the truth, and so does not turn them."""
     own = by == "heading_heuristic" and p.heuristic.form == "hdr"
-    if own or by in ("zero_velocity", "zero_angular_rate"):
+    if own or by in TELL_NO_YAW:
         return state
     yaw, run = correction["t"][2], state.run
     moved = jnp.where(run.strides > 0.5, yaw, 0.0)

@@ -19,6 +19,7 @@ from jax.typing import ArrayLike
 
 from pedjax import rotations
 from pedjax.aids.aid import Aid, Measured, Seen
+from pedjax.aids.zero_velocity import TELL_NO_YAW
 from pedjax.detectors import field as detectors
 from pedjax.errors import InputError
 from pedjax.filters import compass, hard_iron, kalman, measurements, rivals
@@ -281,14 +282,8 @@ def _heading_row(q: Compass, field: Array) -> Array:
     return measurements.azimuth_row(field)
 
 
-_NOT_TURNED_BY = ("zero_velocity", "zero_angular_rate")
-"""Whose corrections do not turn the looks. They could, at a cost in each sample of stance; but a zero
-velocity tells next to nothing of yaw: over six made offices mean errors changed by 0 to 4 cm, none for the
-better."""
-
-
 def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any) -> State:
-    if by in _NOT_TURNED_BY:
+    if by in TELL_NO_YAW:
         return state
     others = state.rivals
     if isinstance(others, Rivals):

@@ -130,6 +130,12 @@ def _shortest(p: Any) -> tuple[float, str]:
     return 2 * stance.window_s(p.stance), f"stance.{p.stance.detector}.window_s"
 
 
+TELL_NO_YAW = ("zero_velocity", "zero_angular_rate")
+"""Aids whose corrections need not turn what others keep in terms of the yaw. They could, at a cost in each
+sample of stance; but a zero velocity tells next to nothing of yaw: with looks at the field that are turned
+after it, too, mean errors in six made offices change by 0 to 4 cm, none for the better."""
+
+
 ZERO_VELOCITY = Aid(
     name="zero_velocity",
     groups=(("stance", stance.StanceParameters), ("gate", Gate), ("updates", Updates)),
