@@ -147,3 +147,13 @@ def forward_substitution(lower: list[list[Array]], b: Array) -> list[Array]:
     for i, row in enumerate(lower):
         rows.append(once((b[i] - sum(row[j] * rows[j] for j in range(i))) / row[i]))
     return rows
+
+
+def solve(s: Array, b: Array) -> Array:
+    """x with `s x = b` for `s (m, m, *L)`, symmetric and positive definite, and `b (m, *L)`, m small."""
+    lower = cholesky(s)
+    y = forward_substitution(lower, b)
+    x: list[Array] = [y[0]] * len(y)
+    for i in reversed(range(len(y))):
+        x[i] = (y[i] - sum(lower[j][i] * x[j] for j in range(i + 1, len(y)))) / lower[i][i]
+    return jnp.stack(x)

@@ -5,15 +5,18 @@ from __future__ import annotations
 from pedjax.aids.aid import Aid, Measured, Seen
 from pedjax.aids.assembly import aided
 from pedjax.aids.heading_heuristic import HEADING_HEURISTIC
+from pedjax.aids.initial_alignment import INITIAL_ALIGNMENT, START_CHECK
 from pedjax.aids.magnetic_heading import FIELD_RATE, MAGNETIC_HEADING
 from pedjax.aids.tilt import TILT
 from pedjax.aids.zero_velocity import ZERO_ANGULAR_RATE, ZERO_VELOCITY
 from pedjax.errors import InputError, suggest
 
-AIDS: dict[str, Aid] = {
-    each.name: each
-    for each in (ZERO_VELOCITY, ZERO_ANGULAR_RATE, TILT, MAGNETIC_HEADING, FIELD_RATE, HEADING_HEURISTIC)
-}
+_OURS = (
+    ZERO_VELOCITY, ZERO_ANGULAR_RATE, TILT, INITIAL_ALIGNMENT, MAGNETIC_HEADING, START_CHECK, FIELD_RATE,
+    HEADING_HEURISTIC,
+)  # fmt: skip
+
+AIDS: dict[str, Aid] = {each.name: each for each in _OURS}
 
 
 def register_aid(aid: Aid) -> Aid:
@@ -30,6 +33,6 @@ def find_aid(name: str) -> Aid:
 
 
 __all__ = [
-    "AIDS", "FIELD_RATE", "HEADING_HEURISTIC", "MAGNETIC_HEADING", "TILT", "ZERO_ANGULAR_RATE",
-    "ZERO_VELOCITY", "Aid", "Measured", "Seen", "aided", "find_aid", "register_aid",
+    "AIDS", "FIELD_RATE", "HEADING_HEURISTIC", "INITIAL_ALIGNMENT", "MAGNETIC_HEADING", "START_CHECK", "TILT",
+    "ZERO_ANGULAR_RATE", "ZERO_VELOCITY", "Aid", "Measured", "Seen", "aided", "find_aid", "register_aid",
 ]  # fmt: skip

@@ -76,7 +76,8 @@ class Aid(NamedTuple):
     - `after(p, state, by, correction, estimate) -> state`: called after each correction of the estimate at
       this sample, whichever aid it was `by`, in the order of aids: for states that are kept in terms of the
       estimate, as fields in navigation axes are.
-    - `opening_s(p)`: how many seconds of the opening it wants to see; `shortest(p)`: the least a recording
+    - `opening_s(p)`: how many seconds of the opening it wants to see; `stand_s(p)`: and how many of the rest
+      with which the recording begins, marked in the opening's `stands`; `shortest(p)`: the least a recording
       must last in s, and the path of the setting that asks for it.
     """
 
@@ -91,4 +92,5 @@ class Aid(NamedTuple):
     start: Callable[[Any, Any, Opening, Any, Covariance], tuple[Any, Any, Covariance]] = _no_state
     after: Callable[[Any, Any, str, dict[str, Array], Any], Any] = _unmoved
     opening_s: Callable[[Any], float] = lambda p: 0.0
+    stand_s: Callable[[Any], float] = lambda p: 0.0
     shortest: Callable[[Any], tuple[float, str]] = lambda p: (0.0, "")

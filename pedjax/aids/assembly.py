@@ -18,7 +18,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from pedjax.aids.aid import Aid, Seen
-from pedjax.detectors.rest import standing_start
+from pedjax.detectors.rest import rows_of_rest, standing_start
 from pedjax.errors import InputError
 from pedjax.filters import covariance, kalman
 from pedjax.filters.covariance import Covariance
@@ -70,13 +70,21 @@ def aided(
         on = [aid for aid in aids if aid.is_on(p)]
         own = {aid.name: aid.prepare(p, signals, dt, rate_hz, length) for aid in on}
         levelling_s = filter.opening_s(p)
-        seconds = max((levelling_s, *(aid.opening_s(p) for aid in on)))
+        stand_s = max((aid.stand_s(p) for aid in on), default=0.0)
+        seconds = max((levelling_s, stand_s, *(aid.opening_s(p) for aid in on)))
         first, still = (max(round(s * rate_hz), 1) for s in (seconds, levelling_s))
         field = None if signals.field is None else signals.field[:first]
-        levels = (jnp.arange(dt[:first].shape[0]) < still).astype(dt.dtype)
+        row = jnp.arange(dt[:first].shape[0])
+        levels = (row < still).astype(dt.dtype)
         rest_s = filter.rest_s(p)
         rest = standing_start(signals.rate, dt, rate_hz, rest_s, length) if rest_s else None
-        opening = Opening(dt[:first], signals.force[:first], signals.rate[:first], field, levels, rest)
+        stands = None
+        if stand_s:  # never less than what levels
+            most = rows_of_rest(standing_start(signals.rate, dt, rate_hz, stand_s, length), rate_hz)
+            stands = (row < jnp.maximum(most, still)).astype(dt.dtype)
+        opening = Opening(
+            dt[:first], signals.force[:first], signals.rate[:first], field, levels, rest, stands
+        )
         return Inputs(AidedSample(Sample(dt, signals.force, signals.rate, signals.field), own), opening)
 
     def start(p: Any, site: Any, opening: Opening) -> AidedState:

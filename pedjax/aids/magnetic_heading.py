@@ -20,16 +20,19 @@ from jax.typing import ArrayLike
 from pedjax import rotations
 from pedjax.aids.aid import Aid, Measured, Seen
 from pedjax.aids.zero_velocity import TELL_NO_YAW
+from pedjax.calibration.attitude import Earth, heading_variance
 from pedjax.detectors import field as detectors
 from pedjax.errors import InputError
-from pedjax.filters import compass, hard_iron, kalman, measurements, rivals
+from pedjax.filters import adaptive, compass, compensation, hard_iron, kalman, measurements, rivals
+from pedjax.filters.adaptive import Adaptive
 from pedjax.filters.compass import Body, Foot, HeadingNoise, Level, Looking, Looks
+from pedjax.filters.compensation import Compensation
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Opening, still_mean
 from pedjax.filters.hard_iron import TrackerParameters
 from pedjax.filters.rivals import RivalParameters, Rivals
 from pedjax.gates import gate
-from pedjax.lanes import align, constant, lane_shape, matmul
+from pedjax.lanes import align, constant, hypotenuse, lane_shape, matmul, matvec
 from pedjax.parameters import group, leaf, parameters, setting
 from pedjax.system import Gated, Signals
 
@@ -70,8 +73,8 @@ class Compass:
     )  # fmt: skip
     start: str = setting(
         "field", choices=("field", "given"), source=f"{_KIT}: yaw from the first field",
-        meaning="Whether the first yaw comes from the mean field of the start, or is given as "
-        "initial.heading.",
+        meaning="Whether the first yaw comes from the field of the start, as initial.alignment reads it, or "
+        "is given as initial.heading.",
     )  # fmt: skip
     hard_iron: str = setting(
         "fixed", choices=("fixed", "tracked"), source="fixed: published",
@@ -126,6 +129,8 @@ class Compass:
     body: Body = group(Body)
     level: Level = group(Level)
     noise: HeadingNoise = group(HeadingNoise)
+    adaptive: Adaptive = group(Adaptive, when={"update": ("heading", "anchored", "differential")})
+    compensation: Compensation = group(Compensation, when={"update": "heading"})
     tracker: Tracker = group(Tracker, when={"hard_iron": "tracked"})
     rival: RivalParameters = group(RivalParameters, when={"recovery": "rivals", "update": "heading"})
 
@@ -142,6 +147,16 @@ class Compass:
         """The same looks, of which nothing is made: no detector has a say in what it is given."""
         return replace(self, update="none", gyroscope_rows=False, recovery="none", looking=self.looks())
 
+    def compensates(self) -> bool:
+        """Whether the start's disturbance is allowed for; an `InputError` where that has no meaning."""
+        on = self.compensation.mode != "none" and self.update == "heading"
+        if on and self.reference != "given":
+            raise InputError(
+                f"compass.compensation.mode = {self.compensation.mode} needs to know the undisturbed field; "
+                "set compass.reference = given, with its compass.strength and compass.inclination"
+            )
+        return on
+
     def recovers(self) -> bool:
         """Whether rival headings are kept; an `InputError` where they cannot be."""
         if self.recovery == "rivals" and self.update in ("anchored", "differential"):
@@ -155,7 +170,9 @@ class Compass:
 class State(NamedTuple):
     """The looks at the field; whether it was `quasi`-static at the last one; the `anchor (3, *L)` that it is
     compared with; the `reference (2, *L)` strength and inclination; the field `before` `(3, *L)` in body
-    axes; the `tracker` of hard iron, and the `rivals` of the heading, if there are such."""
+    axes; the `tracker` of hard iron, and the `rivals` of the heading, if there are such; the field that the
+    `start` showed, `(3, *L)` in navigation axes, where its disturbance is allowed for; and what an adaptive
+    noise remembers, `usual`."""
 
     looks: Looks
     quasi: Array
@@ -164,6 +181,8 @@ class State(NamedTuple):
     before: Array
     tracker: hard_iron.State | tuple[()]
     rivals: Rivals | tuple[()]
+    start: Array | tuple[()]
+    usual: adaptive.Memory | tuple[()]
 
 
 def _prepare(p: Any, signals: Signals, dt: Array, rate_hz: float, length: ArrayLike | None) -> Any:
@@ -185,18 +204,21 @@ def _start(p: Any, site: Any, opening: Opening, nav: Any, P: Covariance) -> tupl
     own = jnp.stack([detectors.strength(seen), detectors.inclination(seen)])
     given = p.compass.reference == "given"
     reference = jnp.stack([p.compass.strength + like, p.compass.inclination + like]) if given else own
-    if p.compass.start == "field":
+    if p.compass.start == "field" and p.initial.alignment == "levelling":
         yaw = rotations.wrap(p.compass.north() - detectors.azimuth(seen))
         turn = rotations.from_euler(0 * yaw, 0 * yaw, yaw)
         nav = nav._replace(attitude=matmul(turn, nav.attitude))
         strays = align(still_mean(opening, (opening.field - mean_field) ** 2), 1, like.ndim)
         known = reference if p.compass.update == "heading" else own
-        shown = compass.start_variance(seen, known, P["tt"][0, 0], jnp.sum(strays, axis=0) / 3)
+        earth = Earth(known[0], known[1], p.compass.north() + like)
+        shown = heading_variance(seen, earth, P["tt"][0, 0], jnp.sum(strays, axis=0) / 3)
         P = P | {"tt": P["tt"].at[2, 2].set(p.compass.start_sigma**2 + shown + 0 * like)}
     looks = compass.first(nav.attitude, p.field.window)
     tracker = hard_iron.start(p.compass.tracker, mag) if p.compass.hard_iron == "tracked" else ()
     others = rivals.none(p.compass.rival, nav.position) if p.compass.recovers() else ()
-    return State(looks, like, jnp.zeros_like(mag), reference, mag, tracker, others), nav, P
+    start = matvec(nav.attitude, mag) if p.compass.compensates() else ()
+    usual = adaptive.start(p.compass.adaptive, like)
+    return State(looks, like, jnp.zeros_like(mag), reference, mag, tracker, others, start, usual), nav, P
 
 
 def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
@@ -217,7 +239,8 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
     looks, now = compass.look(q.looks(), q.level, state.looks, foot)
     seen = looks.window[-1]
     ratio = detectors.log_ratio(p.field, looks.window, north)
-    whole = jnp.where(looks.follow > p.field.window, 1.0, 0.0)
+    enough = 0 if p.field.detector == "none" else p.field.window
+    whole = jnp.where(looks.follow > enough, 1.0, 0.0)
     quasi = whole * gate(ratio, p.field.width, p.field.straight_through)
     begins = (now > 0) & (quasi > 0.5) & (state.quasi <= 0.5)
     anchor = jnp.where(begins, looks.window[0].field, state.anchor)
@@ -229,6 +252,10 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
         twice = 2 * every  # half a turn on, an offset counts twice
         sigma_field = jnp.sqrt(sigma_field * sigma_field + twice)
     innovation = rotations.wrap(north - detectors.azimuth(seen.field))
+    if not isinstance(state.start, tuple):
+        innovation, added = _compensated(q, state.start, seen.field, innovation, sigma, P["tt"][2, 2])
+        sigma = jnp.sqrt(sigma * sigma + added)
+    usual, alpha = state.usual, None
     rows, weight = None, 0.0 * now
     if q.update != "none":
         if q.update == "heading":
@@ -236,6 +263,8 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
         else:
             against = anchor if q.update == "anchored" else looks.window[-2].field
             rows = measurements.same_field(seen.field, against, sigma_field)
+        if q.adaptive.law != "none":
+            usual, rows, alpha = adaptive.adapted(q.adaptive, usual, P, rows, now)
         far = kalman.normalised_innovation(P, rows)
         weight = now * quasi * (q.tail + rows.innovation.shape[0]) / (q.tail + far)
         weight = jnp.minimum(weight, 1.0)
@@ -265,14 +294,30 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
         "quasi_static": quasi,
         "body_field": mag + 0 * state.before,
         "body_field_before": state.before,
+        "reference": reference,
+        "look_time": looks.clock.time,
     }
+    if alpha is not None:
+        more["heading_alpha"] = alpha
     if isinstance(tracker, hard_iron.State):
         more |= {"hard_iron": tracker.offset, "hard_iron_sigma": hard_iron.sigma(tracker)}
     if isinstance(others, Rivals):
         more |= {"rival_turn": others.fresh.turn, "rival_odds": others.fresh.odds, "took_over": over}
-    state = State(looks, quasi, anchor, reference, more["body_field"], tracker, others)
+    state = State(looks, quasi, anchor, reference, more["body_field"], tracker, others, state.start, usual)
     gated = Gated(weight, jnp.where(whole > 0, ratio, 10.0))
     return Measured(state, rows, weight, gated, more, moved)
+
+
+def _compensated(
+    q: Compass, start: Array, field: Array, innovation: Array, sigma: Array, of_yaw: Array
+) -> tuple[Array, Array]:
+    """The innovation beside the disturbance of the `start`, and the variance that it adds."""
+    earth = Earth(q.strength + 0 * sigma, q.inclination + 0 * sigma, q.north() + 0 * sigma).field()
+    if q.compensation.mode == "vector":
+        return rotations.wrap(detectors.azimuth(start) - detectors.azimuth(field)), 0 * sigma
+    measured, known, disturbed = (hypotenuse(x[0], x[1], small=1e-12) for x in (field, earth, start - earth))
+    level = measured, known, disturbed
+    return compensation.chosen(q.compensation, innovation, sigma * sigma + of_yaw, level, q.noise.field)
 
 
 def _heading_row(q: Compass, field: Array) -> Array:

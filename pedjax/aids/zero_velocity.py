@@ -13,12 +13,13 @@ from jax.typing import ArrayLike
 
 from pedjax.aids.aid import Aid, Measured, Seen
 from pedjax.detectors import stance
-from pedjax.filters import measurements
+from pedjax.filters import adaptive, measurements
+from pedjax.filters.adaptive import Adaptive
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Opening
 from pedjax.gates import SoftGate, gate
 from pedjax.lanes import align
-from pedjax.parameters import leaf, parameters, setting
+from pedjax.parameters import group, leaf, parameters, setting
 from pedjax.system import Gated, Signals
 
 _KIT = "kit choice"
@@ -91,13 +92,16 @@ class Updates:
         False, source="not part of IEZ",
         meaning="Whether a standing foot also measures the gyroscope's bias, as it does not turn (ZARU).",
     )  # fmt: skip
+    adaptive: Adaptive = group(Adaptive)
 
 
 class State(NamedTuple):
-    """Recent `level` of the log statistic, and the last weight, `still`; `(*L)` both."""
+    """Recent `level` of the log statistic, and the last weight, `still`; `(*L)` both. What an adaptive noise
+    remembers, `usual`."""
 
     level: Array
     still: Array
+    usual: adaptive.Memory | tuple[()] = ()
 
 
 def _prepare(p: Any, signals: Signals, dt: Array, rate_hz: float, length: ArrayLike | None) -> Array:
@@ -108,7 +112,7 @@ def _start(
     p: Any, site: Any, opening: Opening, estimate: Any, P: Covariance
 ) -> tuple[State, Any, Covariance]:
     like = jnp.zeros_like(estimate.position[0])
-    return State(like, like), estimate, P
+    return State(like, like, adaptive.start(p.updates.adaptive, like)), estimate, P
 
 
 def _step(p: Any, site: Any, state: State, seen: Seen) -> Measured:
@@ -122,8 +126,11 @@ def _step(p: Any, site: Any, state: State, seen: Seen) -> Measured:
         log_ratio = log_ratio - p.gate.follow * level
         sigma = sigma * jnp.exp(p.gate.growth * jnp.logaddexp(bounded - p.gate.floor, 0.0))
     weight = gate(log_ratio, p.gate.width, p.gate.straight_through)
-    rows = measurements.zero_velocity(seen.estimate, sigma)
-    return Measured(State(level, weight), rows, weight, Gated(weight, log_ratio))
+    rows, usual = measurements.zero_velocity(seen.estimate, sigma), state.usual
+    if p.updates.adaptive.law != "none":
+        now = jnp.where((weight > 0.5) & (dt > 0), 1.0, 0.0)
+        usual, rows, _ = adaptive.adapted(p.updates.adaptive, usual, seen.P, rows, now)
+    return Measured(State(level, weight, usual), rows, weight, Gated(weight, log_ratio))
 
 
 def _shortest(p: Any) -> tuple[float, str]:

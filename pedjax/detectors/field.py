@@ -42,6 +42,7 @@ _KIT = "kit choice"
 _MAGYQ = "MAGYQ, Renaudin and Combettes 2014, public code"
 _FINDS = f"{_KIT}: finds 0.8 of the quasi-static windows in simulated offices"
 _DEGREE = 0.017453292519943295
+_ALWAYS = 10.0  # log units below the threshold, where there is no test
 
 
 class Look(NamedTuple):
@@ -411,9 +412,9 @@ class FieldParameters(SoftGate):
     """Which detector is on, its window in steps (or samples), and the numbers of all of them."""
 
     detector: str = setting(
-        "ma", choices=tuple(FIELD_DETECTORS), source=_MA,
-        meaning="Which statistic decides whether the field is quasi-static; only the group of that name "
-        "has an effect.",
+        "ma", choices=("none", *FIELD_DETECTORS), source=_MA,
+        meaning="Which statistic decides whether the field is quasi-static, none: it always is; only the "
+        "group of that name has an effect.",
     )  # fmt: skip
     window: int = setting(
         3, choices=tuple(range(1, 31)), source=f"{_MA}: N = 3 steps",
@@ -434,4 +435,6 @@ def log_ratio(p: FieldParameters, window: Window, north: Array) -> Array:
 
     `north` rad is the azimuth at which the horizontal field points where nothing disturbs it.
     """
+    if p.detector == "none":
+        return jnp.full_like(window[-1].yaw, -_ALWAYS)
     return FIELD_DETECTORS[p.detector](getattr(p, p.detector), window, north)

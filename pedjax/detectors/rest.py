@@ -34,6 +34,15 @@ class Rest(NamedTuple):
     windows: Array
 
 
+def rows_of_rest(rest: Rest, rate_hz: float) -> Array:
+    """How many samples the rest has."""
+    return rest.windows * _width(rate_hz)
+
+
+def _width(rate_hz: float) -> int:
+    return max(round(WINDOW_S * rate_hz), 2)
+
+
 def standing_start(
     rate: Array, dt: Array, rate_hz: float, rest_s: float, length: ArrayLike | None = None
 ) -> Rest:
@@ -42,7 +51,7 @@ def standing_start(
     `rate (T, 3)` rad/s and `dt (T,)` s at `rate_hz`. A window with a sample of dt = 0, or from `length` on,
     does not count. Samples after the window that ends the rest change no bit.
     """
-    width = max(round(WINDOW_S * rate_hz), 2)
+    width = _width(rate_hz)
     count = int(rest_s * rate_hz + 1e-6) // width
     first = width * count  # as many windows for a short recording as for a long one: the same order of sums
     missing = max(first - rate.shape[0], 0)

@@ -305,16 +305,6 @@ def heading_sigma(p: HeadingNoise, field: Array, reference: Array) -> Array:
     return jnp.sqrt(square)
 
 
-def start_variance(field: Array, reference: Array, tilt: Array, unrest: Array) -> Array:
-    """Variance `(*L)` rad² of the first heading, as far as the start shows it: by the variance of its `tilt`
-    in rad², the readings' `unrest` in µT² along each axis, and the disturbance. Of a disturbance strength and
-    inclination tell two components; the third, across, which turns the heading, is taken to be as large."""
-    level = field[0] ** 2 + field[1] ** 2 + 1e-6
-    size = level + field[2] ** 2
-    odd = (jnp.sqrt(size) - reference[0]) ** 2 + size * (inclination(field) - reference[1]) ** 2
-    return (tilt * field[2] ** 2 + unrest + 0.5 * odd) / level
-
-
 def offset_variance(attitude: Array, field: Array, covariance: Array) -> Array:
     """Variance `(*L)` rad² of the heading of a field `(3, *L)` in navigation axes for the `covariance
     (3, 3, *L)` in µT² of an offset in body axes: of its part across the horizontal field."""

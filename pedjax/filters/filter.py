@@ -33,7 +33,8 @@ class Sample(NamedTuple):
 class Opening(NamedTuple):
     """The first samples, time first: `dt (n, *L)`, `force`, `rate`, `field (n, 3, *L)` as in `Sample`, and
     `still (n, *L)`, 1 for the samples that level the start. Rows with dt = 0 are padding. `rest`, without
-    rows, is what was measured of the standing start, None where the filter asks for none."""
+    rows, is what was measured of the standing start, None where the filter asks for none; `stands (n, *L)`, 1
+    for the samples of that start, None where no aid asks for them."""
 
     dt: Array
     force: Array
@@ -41,6 +42,7 @@ class Opening(NamedTuple):
     field: Array | None
     still: Array
     rest: Rest | None = None
+    stands: Array | None = None
 
 
 def still_mean(opening: Opening, values: Array) -> Array:

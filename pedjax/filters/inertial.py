@@ -11,7 +11,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from pedjax import rotations
+from pedjax.calibration.attitude import METHODS, Align
 from pedjax.detectors.rest import Rest
+from pedjax.errors import InputError
 from pedjax.filters import covariance, measurements, strapdown
 from pedjax.filters.covariance import Covariance, ProcessNoise
 from pedjax.filters.filter import Filter, Opening, Sample, still_mean
@@ -111,6 +113,12 @@ class Initial:
         0.1, source="PyShoe: the first 20 samples at 200 Hz",
         meaning="Length of the still stretch at the start, whose mean force gives the first roll and pitch.",
     )  # fmt: skip
+    alignment: str = setting(
+        "levelling", choices=METHODS, source="levelling: PyShoe; agda: Wang 2018",
+        meaning="How the first attitude is found: tilt by levelling and yaw as given or by the first field, "
+        "or both from force and field of the standing start.",
+    )  # fmt: skip
+    align: Align = group(Align, when={"alignment": METHODS[1:]})
     bias: str = setting(
         "zero", choices=BIASES, source=_KIT,
         meaning="The gyroscope's first bias: zero, or as the rest with which a recording begins measures it, "
@@ -162,6 +170,12 @@ class InertialParameters:
 def start(p: InertialParameters, opening: Opening) -> tuple[Navigation, Covariance]:
     """Levelled by the first samples, heading given, at rest at the origin; the gyroscope's bias zero, or as
     the standing start measures it."""
+    if p.initial.alignment != "levelling" and opening.field is None:
+        raise InputError(
+            f"initial.alignment = {p.initial.alignment} goes by the magnetic field, which this system does "
+            "not read; take levelling, or a system that does (wang with compass.update = none has zero "
+            "velocities alone)"
+        )
     mean = still_mean(opening, opening.force)
     shape = lane_shape(p, mean[0])
     like = jnp.zeros(shape, mean.dtype)

@@ -233,11 +233,16 @@ def _slope_transposed(known: _Known, slopes: _Found) -> _Given:
     return found_P, Rows(w * along, by_S, by_H), by_weight
 
 
-def normalised_innovation(P: Covariance, rows: Rows) -> Array:
-    """zᵀ S⁻¹ z `(*L)` with S = H P Hᵀ + R: χ² with m degrees of freedom where the model holds."""
-    HPH = rows.noise
+def projected(P: Covariance, rows: Rows) -> Array:
+    """H P Hᵀ `(m, m, *L)`."""
+    parts = []
     for s, matrix in rows.H.items():
         HP = _through(rows.H, P, s)
-        HPH = HPH + (HP if matrix is None else matmul_t(HP, matrix))
-    z = forward_substitution(cholesky(HPH), rows.innovation)
+        parts.append(HP if matrix is None else matmul_t(HP, matrix))
+    return add(parts)
+
+
+def normalised_innovation(P: Covariance, rows: Rows) -> Array:
+    """zᵀ S⁻¹ z `(*L)` with S = H P Hᵀ + R: χ² with m degrees of freedom where the model holds."""
+    z = forward_substitution(cholesky(rows.noise + projected(P, rows)), rows.innovation)
     return add(e * e for e in z)

@@ -12,8 +12,9 @@ from pedjax.system import System
 from pedjax.systems.aiez import AIEZ
 from pedjax.systems.iez import IEZ
 from pedjax.systems.ma2018 import MA2018
+from pedjax.systems.wang import WANG
 
-SYSTEMS: dict[str, System] = {each.name: each for each in (IEZ, MA2018, AIEZ)}
+SYSTEMS: dict[str, System] = {each.name: each for each in (IEZ, MA2018, AIEZ, WANG)}
 
 _OURS = frozenset(SYSTEMS)
 
