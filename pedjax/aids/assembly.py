@@ -18,7 +18,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from pedjax.aids.aid import Aid, Seen
-from pedjax.detectors.rest import rows_of_rest, standing_start
+from pedjax.detectors.rest import standing_rows, standing_start
 from pedjax.errors import InputError
 from pedjax.filters import covariance, kalman
 from pedjax.filters.covariance import Covariance
@@ -80,7 +80,7 @@ def aided(
         rest = standing_start(signals.rate, dt, rate_hz, rest_s, length) if rest_s else None
         stands = None
         if stand_s:  # never less than what levels
-            most = rows_of_rest(standing_start(signals.rate, dt, rate_hz, stand_s, length), rate_hz)
+            most = standing_rows(signals.rate, dt, rate_hz, stand_s, length)
             stands = (row < jnp.maximum(most, still)).astype(dt.dtype)
         opening = Opening(
             dt[:first], signals.force[:first], signals.rate[:first], field, levels, rest, stands

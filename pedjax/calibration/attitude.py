@@ -10,7 +10,9 @@ the undisturbed horizontal field.
 - `gauss_newton`: from sample to sample, with a gain that falls to a running mean of a second.
 - `gda`: gradient descent on a quaternion (Madgwick), and `agda`, Wang's adaptive form,
 
-      q ← q + ((d/(1 + d)) ½ q ⊗ ω − (1/(1 + d)) β ∇/‖∇‖) dt,   d = |‖m‖/F − 1|,   β = β₀/(1 + (t/t₀)²).
+      q ← q + ((d/(1 + d)) ½ q ⊗ ω − (1/(1 + d)) β ∇/‖∇‖) dt,   d = |‖m‖/F − 1|,   β = β₀/(1 + (t/t₀)²),
+
+  with t₀ the `decay`, and less in proportion in a stand shorter than 5 s, which would end far from done.
 
 What Wang prints and what is here (checked against finite differences and TRIAD):
 
@@ -54,6 +56,8 @@ SAMPLEWISE = ("gauss_newton", "gda", "agda")
 
 LAST_S = 1.0
 """How much of the end of a samplewise alignment is averaged, s."""
+WHOLE_S = 5.0
+"""A stand for which the descent's `decay` is told, s."""
 
 
 @parameters
@@ -81,8 +85,8 @@ class Align:
     )  # fmt: skip
     decay: Array = leaf(
         0.7, unit="s", low=0.01, high=1e3, source=_KIT, tune=True, when={"alignment": ("gda", "agda")},
-        meaning="Time at which the descent's gain is half; raised, far starts arrive more surely, and the "
-        "end is noisier.",
+        meaning="Time at which the descent's gain is half (in a short stand, sooner); raised, far starts "
+        "arrive more surely, and the end is noisier.",
     )  # fmt: skip
     field_weight: Array = leaf(
         0.3, unit="1", low=1e-3, high=10.0, source=_KIT, tune=True, when={"alignment": "gauss_newton"},
@@ -244,7 +248,8 @@ def path(p: Align, method: str, stand: Stand, earth: Earth, first: Array | None 
     if method == "gauss_newton":
         found = jax.lax.scan(lambda c, at: _newton(p, earth, c, at), start, given)[1]
     else:
-        step = _descending(p, earth, method == "agda")
+        brief = jnp.minimum(time[-1] / WHOLE_S, 1.0)
+        step = _descending(p, earth, jnp.maximum(p.decay * brief, 1e-3), method == "agda")
         found = jax.lax.scan(step, _quaternion(start), given)[1]
     return jnp.moveaxis(matmul(turn[:, :, None], jnp.moveaxis(found, 0, 2)), 2, 0)
 
@@ -286,7 +291,9 @@ def _newton(p: Align, earth: Earth, c: Array, at: _At) -> tuple[Array, Array]:
     return c, c
 
 
-def _descending(p: Align, earth: Earth, adaptive: bool) -> Callable[[Array, _At], tuple[Array, Array]]:
+def _descending(
+    p: Align, earth: Earth, decay: Array, adaptive: bool
+) -> Callable[[Array, _At], tuple[Array, Array]]:
     """A step of the gradient descent."""
 
     def total(q: Array, up: Array, field: Array, reference: Array) -> Array:
@@ -299,7 +306,7 @@ def _descending(p: Align, earth: Earth, adaptive: bool) -> Callable[[Array, _At]
         slope = jax.grad(total)(q, up, scaled, _reference(p, earth, seen))
         down = slope / norm(slope, small=1e-18)
         turning = 0.5 * jnp.concatenate([-dot(q[1:], rate)[None], q[0] * rate + cross(q[1:], rate)])
-        beta = p.gain / (1 + (time / p.decay) ** 2)
+        beta = p.gain / (1 + (time / decay) ** 2)
         if adaptive:
             d = jnp.abs(norm(scaled, small=1e-12) - 1)
             move = (d * turning - beta * down) / (1 + d)

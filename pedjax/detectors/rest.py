@@ -24,6 +24,10 @@ TURNING = 0.017453292519943295
 """Length of the mean rate in a window of rest is below this; rad/s, 1 deg/s."""
 
 
+STEPPING = 0.1
+"""Length of the rate, RMS in a window, from which on a foot no longer stands; rad/s."""
+
+
 class Rest(NamedTuple):
     """The standing start of a recording: the mean `rate (3, *L)` rad/s over it, the `spread (*L)` rad^2/s^2,
     by how much the means of its windows vary about that mean (population variance, mean of the axes), and how
@@ -34,9 +38,30 @@ class Rest(NamedTuple):
     windows: Array
 
 
-def rows_of_rest(rest: Rest, rate_hz: float) -> Array:
-    """How many samples the rest has."""
-    return rest.windows * _width(rate_hz)
+def standing_rows(
+    rate: Array, dt: Array, rate_hz: float, most_s: float, length: ArrayLike | None = None
+) -> Array:
+    """How many of the first samples, of at most so many seconds, a foot stands that may sway: the windows
+    before the first whose rate has an RMS of `STEPPING` or more, less the last of them, in which the step may
+    begin slowly. `rate (T, 3)` rad/s, without lanes; the rest as in `standing_start`."""
+    windows, real = _windows(rate, dt, rate_hz, most_s, length)
+    energy = jnp.sum(jnp.mean(windows**2, axis=1), axis=1)
+    stands = jnp.cumsum(~((energy < STEPPING**2) & real.all(axis=1))) == 0
+    count = jnp.sum(stands)
+    return jnp.where(count < len(stands), count - 1, count) * _width(rate_hz)
+
+
+def _windows(
+    rate: Array, dt: Array, rate_hz: float, most_s: float, length: ArrayLike | None
+) -> tuple[Array, Array]:
+    """The first windows' rates `(N, width, 3)`, and which of their samples there are."""
+    width = _width(rate_hz)
+    count = int(most_s * rate_hz + 1e-6) // width
+    first = width * count  # as many windows for a short recording as for a long one: the same order of sums
+    missing = max(first - rate.shape[0], 0)
+    real = dt > 0 if length is None else (dt > 0) & (jnp.arange(dt.shape[0]) < length)
+    real = jnp.pad(real[:first], (0, missing)).reshape(count, width)
+    return jnp.pad(rate[:first], ((0, missing), (0, 0))).reshape(count, width, 3), real
 
 
 def _width(rate_hz: float) -> int:
@@ -51,13 +76,7 @@ def standing_start(
     `rate (T, 3)` rad/s and `dt (T,)` s at `rate_hz`. A window with a sample of dt = 0, or from `length` on,
     does not count. Samples after the window that ends the rest change no bit.
     """
-    width = _width(rate_hz)
-    count = int(rest_s * rate_hz + 1e-6) // width
-    first = width * count  # as many windows for a short recording as for a long one: the same order of sums
-    missing = max(first - rate.shape[0], 0)
-    real = dt > 0 if length is None else (dt > 0) & (jnp.arange(dt.shape[0]) < length)
-    real = jnp.pad(real[:first], (0, missing)).reshape(count, width)
-    rates = jnp.pad(rate[:first], ((0, missing), (0, 0))).reshape(count, width, 3)
+    rates, real = _windows(rate, dt, rate_hz, rest_s, length)
     means = rates.mean(axis=1)
     variance = jnp.sum(jnp.mean((rates - means[:, None]) ** 2, axis=1), axis=1)
     still = (variance < QUICKEST**2) & (jnp.sum(means**2, axis=1) < TURNING**2)

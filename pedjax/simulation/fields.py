@@ -576,3 +576,74 @@ def _turning(
         if not all_of_them < 1.5 * mine:
             raise InputError(f"{stretch}: is too near to another one; put start and end further from it")
     return np.linalg.solve(felt, -beside @ level)
+
+
+_APART = 8.0  # m from the start within which there is no bump
+_CAR_SPEED, _CAR_SIDE = 8.0, 3.0  # m/s, m from the start
+_GROUND = 0.7  # m below the foot, where what disturbs the start lies
+
+
+def outdoors(
+    route: np.ndarray,
+    seed: int,
+    bumps: int = 0,
+    low: float = 6.0,
+    high: float = 18.0,
+    car: float = 0.0,
+    start: float = 0.0,
+    standing_s: float = 3.0,
+) -> tuple[Dipoles, Movers]:
+    """Street furniture, parked cars and covers beside a `route (N, 3)` in m; the same for the same seed.
+
+    `bumps` dipoles stand 1 to 2.5 m beside it, evenly along it but none near its start, each felt by a foot
+    on the route by `low` to `high` µT at most. `start` is felt where the route begins, in a direction of its
+    own, and hardly a few metres on. `car` is felt there, too, while a car drives past, at some time within
+    the `standing_s` seconds of rest.
+    """
+    rng = np.random.default_rng([43, seed])
+    foot = np.column_stack([route[:, :2], np.full(len(route), _FOOT)])
+    step = np.linalg.norm(np.diff(foot[:, :2], axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    far = np.flatnonzero(np.linalg.norm(foot - foot[0], axis=1) > _APART)
+    if bumps and not len(far):
+        raise InputError(f"a walk that stays within {_APART:g} m of its start has no room for bumps")
+    place, moment = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for n in range(int(bumps)):
+        wanted = along[-1] * (n + rng.uniform(0.1, 0.9)) / bumps
+        k = int(far[np.argmin(np.abs(along[far] - wanted))])
+        ahead = foot[min(k + 1, len(foot) - 1), :2] - foot[max(k - 1, 0), :2]
+        beside = np.array([-ahead[1], ahead[0]]) / max(float(np.linalg.norm(ahead)), 1e-9)
+        at = np.append(
+            foot[k, :2] + rng.choice([-1, 1]) * rng.uniform(1.0, 2.5) * beside, rng.uniform(-0.5, 1.0)
+        )
+        unit = _unit(rng)
+        place.append(at[None])
+        moment.append((rng.uniform(low, high) / _felt(at, unit, foot) * unit)[None])
+    below = foot[0] - [0.0, 0.0, _GROUND]
+    unit = _unit(rng)
+    place.append(below[None])
+    moment.append((start / _felt(below, unit, foot[:1]) * unit)[None])
+    angle, unit = rng.uniform(0, 2 * np.pi), _unit(rng)
+    passes = rng.uniform(0.2, 0.8) * standing_s
+    drive = np.array([math.cos(angle), math.sin(angle), 0.0])
+    nearest = foot[0] + _CAR_SIDE * np.array([-drive[1], drive[0], 0.0])
+    size = car / _felt(nearest, unit, foot[:1])
+    travel = np.array([[passes - 20.0, passes + 20.0]])
+    begin = nearest - 20.0 * _CAR_SPEED * drive
+    movers = moving(begin[None], (size * unit)[None], (_CAR_SPEED * drive)[None], travel)
+    kept = slice(0, None if start else -1)
+    dipoles = Dipoles(jnp.asarray(np.concatenate(place[kept])), jnp.asarray(np.concatenate(moment[kept])))
+    return dipoles, movers if car else jax.tree.map(lambda x: x[:0], movers)
+
+
+def _unit(rng: np.random.Generator) -> np.ndarray:
+    x = rng.normal(size=3)
+    return np.asarray(x / np.linalg.norm(x))
+
+
+def _felt(place: np.ndarray, unit: np.ndarray, route: np.ndarray) -> float:
+    """The largest field in µT that a dipole of 1 A m² makes along a route `(N, 3)`."""
+    r = route - place
+    square = np.sum(r**2, axis=1, keepdims=True)
+    each = _DIPOLE * (3 * r * (r @ unit)[:, None] / square - unit) / square**1.5
+    return float(np.linalg.norm(each, axis=1).max())

@@ -27,6 +27,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "street": ("tiles", "first", "mode"),
     "floor_magnet": ("place", "depth", "moment"),
     "magnetised_walls": ("stretches", "height", "side"),
+    "outdoors": ("bumps", "low", "high", "car", "start"),
 }
 """Kinds of magnetic field, and what each takes beside."""
 
@@ -108,6 +109,16 @@ def _check_walls(field: Mapping[str, Any], where: str) -> None:
             raise InputError(f"{where}: field.{key} = {field[key]!r} must be a number, in m")
 
 
+def _check_outdoors(field: Mapping[str, Any], where: str) -> None:
+    for key, value in field.items():
+        if key != "kind" and (type(value) not in (int, float) or not 0 <= value <= 1e3):
+            raise InputError(f"{where}: field.{key} = {value!r} must be a number from 0 to 1000")
+    if field.get("bumps", 0) != int(field.get("bumps", 0)):
+        raise InputError(f"{where}: field.bumps = {field['bumps']!r} must be a whole number")
+    if field.get("low", 6.0) > field.get("high", 18.0):
+        raise InputError(f"{where}: field.low must not be larger than field.high")
+
+
 def _check(scenario: Scenario) -> None:
     where = f"scenario '{scenario.name}'"
     if not 10 <= scenario.rate_hz <= 2000:
@@ -136,6 +147,8 @@ def _check(scenario: Scenario) -> None:
     for key in scenario.field:
         if key != "kind" and key not in FIELDS[kind]:
             raise InputError(f"{where}: field '{kind}' takes no '{key}'{suggest(key, FIELDS[kind])}")
+    if kind == "outdoors":
+        _check_outdoors(scenario.field, where)
     if kind == "magnetised_walls":
         _check_walls(scenario.field, where)
     for key, value in scenario.iron.items():

@@ -123,6 +123,9 @@ def field_of(scenario: Scenario, plan: Plan, seed: int) -> Field:
     if kind == "magnetised_walls":
         given["stretches"] = stretches_of(given, f"scenario '{scenario.name}'")
         return fields.compose(munich, fields.magnetised_walls(background=munich, **given))
+    if kind == "outdoors":
+        groups = fields.outdoors(plan.route, seed, standing_s=scenario.standing_s, **given)
+        return fields.compose(munich, *groups)
     if kind == "earth":
         return fields.compose(
             earth.earth(given["latitude"], given["longitude"], given.get("height", 0.0), given["date"])

@@ -1,0 +1,1 @@
+"""Figures and statements of Wang 2018, the published one beside ours."""
