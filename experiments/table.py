@@ -1,10 +1,18 @@
-"""The published number beside ours, and whether it is met."""
+"""The published number beside ours, and whether it is met; and the command line of what finds them."""
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
+import pedjax
+from pedjax.output import folder, write_table
+from pedjax.runtime import default_cache
+
 Row = dict[str, Any]
+Part = Callable[[range, Path], list[Row]]
 
 
 def row(name: str, what: str, published: str, ours: str, met: bool | None) -> Row:
@@ -12,3 +20,24 @@ def row(name: str, what: str, published: str, ours: str, met: bool | None) -> Ro
     mark = {True: "yes", False: "no", None: "-"}[met]
     print(f"{name:6} {what:44} {published:44} {ours:58} {mark}", flush=True)
     return {"id": name, "what": what, "published": published, "ours": ours, "met": mark}
+
+
+def main_of(
+    about: str, parts: Mapping[str, Part], out: Path, first_seed: int, walks: Callable[[str], int]
+) -> None:
+    """The command line of an experiment of several parts, each with seeds from `first_seed` on and as many
+    walks as it asks for; its lines are written to `PART_told.csv`."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", help=f"which: {', '.join(parts)} (all)")
+    parser.add_argument("--walks", type=int, help="seeds of each place")
+    parser.add_argument("--first-seed", type=int, default=first_seed)
+    parser.add_argument("--out", type=Path, default=out)
+    args = parser.parse_args()
+    if unknown := set(args.parts) - set(parts):
+        parser.error(f"there is no part {', '.join(sorted(unknown))}; choose from {', '.join(parts)}")
+    pedjax.configure(cache=default_cache())
+    where = folder(args.out)
+    for part in args.parts or parts:
+        seeds = range(args.first_seed, args.first_seed + (args.walks or walks(part)))
+        rows = parts[part](seeds, where)
+        write_table(where / f"{part}_told.csv", {key: [line[key] for line in rows] for key in rows[0]})

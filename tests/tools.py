@@ -6,10 +6,13 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from pedjax import filtering, parameters
+from pedjax.preparing import prepare
 from pedjax.recording import Landmarks, Recording, Sensor, Stream, Truth
 from pedjax.systems import system
+from pedjax.walks import walk
 from tests.reference import filter as oracle
 
 ORACLE_NAMES = {
@@ -148,3 +151,29 @@ def assert_chunks_equal_the_whole(system, params, inputs, cut):
     last, b = scan(system, params, second, middle)
     same_bits(end, last)
     same_bits(whole, jax.tree.map(lambda x, y: jnp.concatenate([x, y]), a, b))
+
+
+def assert_slopes_of_a_landmark_error_equal_differences(found, p, recording, slopes, rel=1e-5):
+    """Through the whole filter, from the start on: RMS of horizontal errors at the landmarks by each of the
+    parameters in `slopes`, path to value."""
+    p = parameters.cast(parameters.replace(p, slopes), float)
+    walked = walk(recording)
+    inputs = prepare(found, p, walked, float, len(walked))
+    at, there = jnp.asarray(walked.index), jnp.asarray(walked.position[:, :2])
+
+    @jax.jit
+    @jax.value_and_grad
+    def error(values):
+        q = parameters.with_leaves(p, values)
+        state = found.start(q, None, inputs.opening)
+        _, place = filtering.scan(found, q, None, inputs.samples, state, lambda o: o.estimate.position)
+        return jnp.sqrt(jnp.mean(jnp.sum((place[at, :2] - there) ** 2, axis=1)))
+
+    values = {name: jnp.asarray(x) for name, x in slopes.items()}
+    loss, gradient = error(values)
+    assert 0.01 < loss < 20
+    for name, x in values.items():
+        h = 1e-5 * x
+        up, down = (float(error({**values, name: x + s})[0]) for s in (h, -h))
+        assert gradient[name] == pytest.approx((up - down) / (2 * float(h)), rel=rel, abs=1e-9), name
+        assert gradient[name] != 0.0, name

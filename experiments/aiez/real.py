@@ -19,9 +19,7 @@ from typing import Any
 import numpy as np
 
 import pedjax
-from experiments import presets
-from experiments.ma2018.real import loop
-from pedjax import config
+from experiments import presets, recorded
 from pedjax.output import folder, write_table
 from pedjax.runtime import default_cache
 
@@ -87,38 +85,11 @@ def main() -> None:
         )
         columns = {"recording": [w.name for w in walks], "plain_m": plain, "heuristic_m": found}
         write_table(out / f"walks_{name.replace(' ', '_')}.csv", columns)
-    rows = [_line(recording, "walk") for recording in walks]
-    rows += [_line(pedjax.read(path), "loop") for path in args.loops]
-    for kind in dict.fromkeys(row["kind"] for row in rows):
-        some = [row for row in rows if row["kind"] == kind]
-        adaptive = np.array([row["iez_adaptive"] for row in some])
-        for preset in PRESETS:
-            each = np.array([row[preset] for row in some])
-            known = np.isfinite(each)
-            worst = (each / adaptive)[known].max()
-            mean, middle = each[known].mean(), np.median(each[known])
-            print(
-                f"{kind} {preset:14} {known.sum()} of {len(each)}: mean {mean:.3f} (iez_adaptive "
-                f"{adaptive[known].mean():.3f}), median {middle:.3f}, worst ratio {worst:.2f}"
-            )
+    rows = [recorded.line(recording, "walk", PRESETS) for recording in walks]
+    rows += [recorded.line(pedjax.read(path), "loop", PRESETS) for path in args.loops]
+    recorded.tell(rows, PRESETS)
     if rows:
         write_table(out / "presets.csv", {key: [row[key] for row in rows] for key in rows[0]})
-
-
-def _line(recording: pedjax.Recording, kind: str) -> dict[str, Any]:
-    """Error of a recording with each preset, not a number where it needs a magnetometer that there is not."""
-    line: dict[str, Any] = {"recording": recording.name, "kind": kind}
-    for preset in PRESETS:
-        system, params = config.resolve(config.load(preset))
-        if system.magnetic and recording.sensor().magnetometer is None:
-            line[preset] = float("nan")
-            continue
-        track = pedjax.run(recording, system, params)
-        is_walk = kind == "walk"
-        found = presets.score(track, recording).rms_2d_m if is_walk else loop(recording, track)["closure_m"]
-        line[preset] = float(found)
-    print(*(f"{v:.2f}" if isinstance(v, float) else v for v in line.values()), sep="  ", flush=True)
-    return line
 
 
 if __name__ == "__main__":

@@ -11,8 +11,7 @@ import numpy as np
 
 import pedjax
 from experiments import presets
-from experiments.aiez.made import true_yaw
-from pedjax.simulation.earth import declination, homogeneous
+from experiments.aiez.made import true_yaw, yaw_error
 from pedjax.simulation.scenarios import load_scenario
 from pedjax.simulation.world import simulate
 
@@ -23,20 +22,21 @@ GPS_M = 1.0
 GIVEN = np.radians(10.0)
 """Within which the first yaw is given to whoever has no alignment."""
 
-_MUNICH = np.asarray(homogeneous("munich"), float)
-EARTH = {
-    "compass.strength": float(np.linalg.norm(_MUNICH)),
-    "compass.inclination": float(np.arctan2(-_MUNICH[2], np.hypot(*_MUNICH[:2]))),
-    "compass.declination": float(declination(homogeneous("munich"))),
-}
-"""The undisturbed field, as one looks it up."""
+EARTH = {"compass.strength": 48.0, "compass.inclination": float(np.radians(64.0)), "compass.declination": 0.0}
+"""The undisturbed field of the simulator's Munich, as one looks it up."""
 
 
-def walk(path: str, seed: int, calibrated: float = 0.0, **field: Any) -> pedjax.Simulated:
+def walk(
+    path: str, seed: int, calibrated: float = 0.0, along: float = 0.0, **field: float
+) -> pedjax.Simulated:
     """A path with the field's numbers beside BUMPS; `calibrated` is the part of the sensor's constant errors
-    that a calibration has taken away (0: Table 1, a gyroscope's bias of 0.2 deg/s)."""
+    that a calibration has taken away (0: Table 1, a gyroscope's bias of 0.2 deg/s); `along` µT is there
+    whenever the foot stands, in a direction of the seed's."""
     scenario = load_scenario(path)
     where = {"kind": "outdoors", **BUMPS, **field}
+    if along:
+        way = np.random.default_rng([83, seed]).normal(size=3)
+        scenario = replace(scenario, iron={"floor": tuple(along * way / np.linalg.norm(way))})
     return simulate(
         replace(scenario, sensors={"foot": "mti_g_710"}, calibrated=calibrated, field=where), seed
     )
@@ -77,3 +77,6 @@ def run(walked: pedjax.Simulated, preset: str, changes: Mapping[str, Any], seed:
     params = presets.params_of(preset)
     given = {} if params.compass.start == "field" else {"initial.heading": given_yaw(walked, seed)}
     return presets.run(walked.recording, preset, {**EARTH, **given, **changes})
+
+
+__all__ = ["BUMPS", "EARTH", "PATHS", "Error", "error", "given_yaw", "run", "true_yaw", "walk", "yaw_error"]

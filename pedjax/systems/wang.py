@@ -5,8 +5,7 @@ the start's disturbance and counts less the less it is expected. No detector has
 the corrections that `calibration.attitude`, `filters.compensation` and `filters.adaptive` tell of, the
 innovation law among them (the printed one is inert in rad²); the start is as sure as the settings say.
 
-The paper prints no noise, no gain and no window. A look once in each stance; its headings at every still
-sample (`compass.looking.per = "sample"`) are many views of one field.
+The paper prints no noise, no gain and no window.
 """
 
 from __future__ import annotations
@@ -25,6 +24,9 @@ VALUES = {
     "initial.accelerometer_bias": (0.03, "Wang 2018, Table 1"),
     "updates.zero_velocity": (0.05, "kit choice: how a foot moves in the last samples of a made stance"),
     "field.detector": ("none", "Wang 2018"),
+    "compass.start_sigma": (0.02, "kit choice: as an aligned start is without a disturbance"),
+    "compass.looking.per": ("sample", "Wang 2018: at each zero velocity"),
+    "compass.noise.floor": (0.12, "kit choice: the samples of a stance are many views of one field"),
     "compass.looking.levelling": ("attitude", "Wang 2018, Eq. 6"),
     "compass.reference": ("given", "Wang 2018: looked up"),
     "compass.compensation.mode": ("magnitude", "Wang 2018, Eq. 7-8"),

@@ -39,6 +39,19 @@ CHOICES = {
         {"heuristic.form": "hde", "compass.looking.per": "sample", "field.aiez.per": "second"},
         {"heuristic.form": "integrator", "compass.recovery": "none", "initial.bias": "zero"},
     ],
+    "wang": [
+        {},
+        {
+            "compass.adaptive.law": "windowed",
+            "updates.adaptive.law": "trace",
+            "initial.alignment": "weighted",
+        },
+        {
+            "compass.adaptive.law": "printed",
+            "compass.compensation.mode": "vector",
+            "initial.align.check": "mend",
+        },
+    ],
 }
 ALL = [pytest.param(n, c, id=f"{n}-{k}") for n, many in CHOICES.items() for k, c in enumerate(many)]
 QUICK = {"iez-0", "iez-1", "ma2018-0", "ma2018-5"}
@@ -138,7 +151,7 @@ def test_every_primitive_of_the_systems_is_known(name, changes):
 
 
 def test_every_system_is_among_the_choices():
-    assert set(CHOICES) == {"iez", "ma2018", "aiez"}
+    assert set(CHOICES) == {"iez", "ma2018", "aiez", "wang"}
 
 
 def test_symmetric_matrices_are_kept_once():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pedjax
-from pedjax import filtering, parameters
+from pedjax import parameters
 from pedjax.errors import InputError
 from pedjax.preparing import prepare
 from pedjax.recording import Stream
@@ -227,27 +227,7 @@ def test_gradients_of_a_landmark_error_equal_differences(building, form):
         heuristic__slope__least=3.0, heuristic__directions__strides=2.0, field__width=0.5, gate__width=0.25,
         tilt__rows="level",
     )  # fmt: skip
-    p = parameters.cast(parameters.replace(p, slopes), float)
-    found = walk(building.recording)
-    inputs = prepare(AIEZ, p, found, float, len(found))
-    at, there = jnp.asarray(found.index), jnp.asarray(found.position[:, :2])
-
-    @jax.jit
-    @jax.value_and_grad
-    def error(values):
-        q = parameters.with_leaves(p, values)
-        state = AIEZ.start(q, None, inputs.opening)
-        _, place = filtering.scan(AIEZ, q, None, inputs.samples, state, lambda o: o.estimate.position)
-        return jnp.sqrt(jnp.mean(jnp.sum((place[at, :2] - there) ** 2, axis=1)))
-
-    values = {name: jnp.asarray(x) for name, x in slopes.items()}
-    loss, gradient = error(values)
-    assert 0.01 < loss < 20
-    for name, x in values.items():
-        h = 1e-5 * x
-        up, down = (float(error({**values, name: x + s})[0]) for s in (h, -h))
-        assert gradient[name] == pytest.approx((up - down) / (2 * float(h)), rel=2e-5, abs=1e-9), name
-        assert gradient[name] != 0.0, name
+    tools.assert_slopes_of_a_landmark_error_equal_differences(AIEZ, p, building.recording, slopes, 2e-5)
 
 
 @pytest.mark.slow
