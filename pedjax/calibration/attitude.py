@@ -161,8 +161,8 @@ def _mean(x: Array, weights: Array) -> Array:
 
 
 def _middles(dt: Array) -> Array:
-    """The middle of each sample in time. A stretch of whole samples ends between two of them, however sums are
-    rounded."""
+    """The middle of each sample in time: a stretch of whole samples ends between two of them, however sums
+    are rounded."""
     return jnp.cumsum(dt, axis=0) - 0.5 * dt
 
 
