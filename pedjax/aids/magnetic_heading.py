@@ -226,7 +226,7 @@ def _start(p: Any, site: Any, opening: Opening, nav: Any, P: Covariance) -> tupl
 
 
 def _shown(p: Any, opening: Opening, attitude: Array) -> Array:
-    """The field of the start `(3, *L)` in navigation axes: of all of the rest that aligned it, if that did."""
+    """The field of the start `(3, *L)` in navigation axes: of all of the rest that aligned it, if any did."""
     if opening.stands is not None:
         opening = opening._replace(still=jnp.where(opening.dt > 0, opening.stands, 0.0))
     assert opening.field is not None
