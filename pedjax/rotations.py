@@ -74,12 +74,12 @@ def orthonormalise(c: Array) -> Array:
 
 
 def log(c: Array) -> Array:
-    """Rotation vector `(3, *L)` of a rotation matrix, for angles below pi."""
+    """Rotation vector `(3, *L)` of a rotation matrix, for angles below pi; of what is none it is finite."""
     axial = 0.5 * jnp.stack([c[2, 1] - c[1, 2], c[0, 2] - c[2, 0], c[1, 0] - c[0, 1]])
     sine_square = dot(axial, axial)
     cosine = 0.5 * (c[0, 0] + c[1, 1] + c[2, 2] - 1)
     small = (sine_square < 1e-12) & (cosine > 0)
-    safe = jnp.sqrt(jnp.where(small, 1.0, sine_square))
+    safe = jnp.sqrt(jnp.where(small, 1.0, jnp.maximum(sine_square, 1e-24)))
     angle = jnp.arctan2(safe, cosine)
     return jnp.where(small, 1 + sine_square / 6, angle / safe) * axial
 

@@ -50,6 +50,13 @@ def test_log_inverts_exp(phi):
     np.testing.assert_allclose(log(exp(phi)), phi, atol=1e-12)
 
 
+def test_log_is_finite_for_half_a_turn_and_for_what_is_no_rotation():
+    cases = jnp.stack([jnp.diag(jnp.array(x)) for x in ([1.0, -1, -1], [0.0, 0, 0], [0.0, 0, 1])], axis=-1)
+    found, slope = log(cases), jax.grad(lambda c: jnp.sum(log(c)))(cases)
+    assert np.isfinite(found).all()
+    assert np.isfinite(slope).all()
+
+
 def test_cayley_is_its_fraction_and_turns_by_twice_the_arctangent(phi):
     found = cayley(phi)
     for lane in range(phi.shape[1]):

@@ -23,7 +23,7 @@ from pedjax.detectors import field as detectors
 from pedjax.filters import compass, rivals
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Opening
-from pedjax.lanes import align, lane_shape, matmul, matvec, transpose
+from pedjax.lanes import align, dot, lane_shape, matmul, matvec, transpose
 
 _CLEAN_LOOKS = 3.0  # so many looks in the earth's field before a start is mended
 _CLEARLY = 4.0  # standard deviations from which on it is
@@ -62,10 +62,11 @@ def earth_of(p: Any, stand: Stand) -> Earth:
 
 
 class State(NamedTuple):
-    """What later fields say: the yaw that was `corrected` so far, what the compass corrects at this sample
-    (`pending`), the `information` 1/rad² about the start's error and its `moment` 1/rad, the number of
-    `clean` looks, and whether the start was `mended`; `(*L)` each."""
+    """What later fields say: the gyroscope's first `bias (3, *L)`, the yaw that was `corrected` so far, what
+    the compass corrects at this sample (`pending`), the `information` 1/rad² about the start's error and its
+    `moment` 1/rad, the number of `clean` looks, and whether the start was `mended`; `(*L)` each."""
 
+    bias: Array
     corrected: Array
     pending: Array
     information: Array
@@ -117,35 +118,36 @@ INITIAL_ALIGNMENT = Aid(
 
 def _unchecked(p: Any, site: Any, opening: Opening, nav: Any, P: Covariance) -> tuple[State, Any, Covariance]:
     like = jnp.zeros_like(P["tt"][2, 2] + nav.position[0])
-    return State(like, like, like, like, like, like), nav, P
+    return State(nav.gyroscope_bias + like, like, like, like, like, like, like), nav, P
 
 
 def _check(p: Any, site: Any, state: State, seen: Seen) -> Measured:
     """A look at the earth's field, carried back to the start; and once they are sure, a turn of the path."""
-    told, how = seen.more, p.initial.align
+    told, how, nav = seen.more, p.initial.align, seen.estimate
     field, now, sigma = told["magnetic_field"], told["look"], told["heading_sigma"]
     odd = (detectors.strength(field) - told["reference"][0]) / (2 * how.strength_spread)
     steep = (detectors.inclination(field) - told["reference"][1]) / (2 * how.dip_spread)
     clean = now * (1 + odd * odd + steep * steep) ** -2
     drift = p.initial.gyroscope_bias * told["look_time"]
-    away = rotations.wrap(told["heading_innovation"] + state.corrected)
+    plain = p.compass.north() - detectors.azimuth(field)  # whatever the start's disturbance makes of it
+    away = rotations.wrap(plain + state.corrected)
     share = clean / (sigma * sigma + drift * drift)
     information, moment = state.information + share, state.moment + share * away
     error = moment / jnp.maximum(information, 1e-9)
     variance = 1 / jnp.maximum(information, 1e-6)
     count = state.clean + clean
-    corrected = state.corrected + state.pending
+    turned = dot(nav.attitude[2], nav.gyroscope_bias - state.bias) * seen.sample.dt  # by a bias learnt since
+    corrected = state.corrected + state.pending - turned
     moved, mended = None, state.mended
     if how.check == "mend":
         left = rotations.wrap(error - corrected)
         wrong = left * left > _CLEARLY**2 * variance
         over = jnp.where(wrong & (count >= _CLEAN_LOOKS) & (mended < 0.5) & (now > 0), 1.0, 0.0)
-        nav = seen.estimate
         best = rivals.Rival(left, variance, 0 * left, 0 * nav.position)
         moved = rivals.taken_over(seen.P, best, over, nav.position, nav.velocity)
         mended = jnp.maximum(mended, over)
     more = {"start_error": error, "start_error_sigma": jnp.sqrt(variance), "start_mended": mended}
-    new = State(corrected, 0 * corrected, information, moment, count, mended)
+    new = State(state.bias, corrected, 0 * corrected, information, moment, count, mended)
     return Measured(new, None, None, more=more, moved=moved)
 
 

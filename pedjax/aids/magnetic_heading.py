@@ -32,7 +32,7 @@ from pedjax.filters.filter import Opening, still_mean
 from pedjax.filters.hard_iron import TrackerParameters
 from pedjax.filters.rivals import RivalParameters, Rivals
 from pedjax.gates import gate
-from pedjax.lanes import align, constant, hypotenuse, lane_shape, matmul, matvec
+from pedjax.lanes import align, constant, hypotenuse, lane_shape, matmul
 from pedjax.parameters import group, leaf, parameters, setting
 from pedjax.system import Gated, Signals
 
@@ -138,6 +138,10 @@ class Compass:
         """The azimuth of the undisturbed horizontal field, rad counter-clockwise from east."""
         return _QUARTER_TURN - self.declination
 
+    def earth(self, like: Array) -> Earth:
+        """The undisturbed field as given; `like (*L)` is zeros."""
+        return Earth(self.strength + like, self.inclination + like, self.north() + like)
+
     def looks(self) -> Looking:
         """When it looks, and what levels: the attitude where the field tells of the tilt, too."""
         tilted = self.update in ("anchored", "differential")
@@ -216,9 +220,20 @@ def _start(p: Any, site: Any, opening: Opening, nav: Any, P: Covariance) -> tupl
     looks = compass.first(nav.attitude, p.field.window)
     tracker = hard_iron.start(p.compass.tracker, mag) if p.compass.hard_iron == "tracked" else ()
     others = rivals.none(p.compass.rival, nav.position) if p.compass.recovers() else ()
-    start = matvec(nav.attitude, mag) if p.compass.compensates() else ()
+    start = _shown(p, opening, nav.attitude) if p.compass.compensates() else ()
     usual = adaptive.start(p.compass.adaptive, like)
     return State(looks, like, jnp.zeros_like(mag), reference, mag, tracker, others, start, usual), nav, P
+
+
+def _shown(p: Any, opening: Opening, attitude: Array) -> Array:
+    """The field of the start `(3, *L)` in navigation axes: of all of the rest that aligned it, if any did."""
+    if opening.stands is not None:
+        opening = opening._replace(still=jnp.where(opening.dt > 0, opening.stands, 0.0))
+    assert opening.field is not None
+    lanes, like = attitude.ndim - 2, 0 * attitude[0]
+    force, field = (align(still_mean(opening, x), 1, lanes) for x in (opening.force, opening.field))
+    mag = compass.in_body(p.compass.body, field + like)
+    return compass.levelled(attitude, force + like, mag, p.compass.level)
 
 
 def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
@@ -312,7 +327,7 @@ def _compensated(
     q: Compass, start: Array, field: Array, innovation: Array, sigma: Array, of_yaw: Array
 ) -> tuple[Array, Array]:
     """The innovation beside the disturbance of the `start`, and the variance that it adds."""
-    earth = Earth(q.strength + 0 * sigma, q.inclination + 0 * sigma, q.north() + 0 * sigma).field()
+    earth = q.earth(0 * sigma).field()
     if q.compensation.mode == "vector":
         return rotations.wrap(detectors.azimuth(start) - detectors.azimuth(field)), 0 * sigma
     measured, known, disturbed = (hypotenuse(x[0], x[1], small=1e-12) for x in (field, earth, start - earth))
@@ -333,8 +348,10 @@ def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any
     others = state.rivals
     if isinstance(others, Rivals):
         others = rivals.turned(others, correction["t"][2])
-    looks = compass.turned(state.looks, correction["t"], p.compass.looks().levelling)
-    return state._replace(looks=looks, rivals=others)
+    looks, start = compass.turned(state.looks, correction["t"], p.compass.looks().levelling), state.start
+    if by == "start_check" and not isinstance(start, tuple):  # clean fields: the disturbance was left behind
+        start = jnp.where(correction["t"][2] == 0, start, p.compass.earth(0 * start[0]).field())
+    return state._replace(looks=looks, rivals=others, start=start)
 
 
 MAGNETIC_HEADING = Aid(

@@ -164,6 +164,12 @@ def _mean(x: Array, weights: Array) -> Array:
     return jnp.sum(jnp.where(weights[:, None] > 0, weights[:, None] * x, 0.0), axis=0) / total
 
 
+def _middles(dt: Array) -> Array:
+    """The middle of each sample in time: a stretch of whole samples ends between two of them, however sums
+    are rounded."""
+    return jnp.cumsum(dt, axis=0) - 0.5 * dt
+
+
 def triad(up: Array, field: Array, north: Array) -> Array:
     """C `(3, 3, *L)` of a body that sees `up` and `field (3, *L)`, of any length: the horizontal field points
     to the azimuth `north`. Where they are parallel yaw is arbitrary."""
@@ -188,8 +194,10 @@ def purity(p: Align, stand: Stand, earth: Earth) -> Array:
     up = _mean(stand.force, stand.dt)
     odd = (norm(stand.field, axis=1, small=1e-12) - earth.strength) / p.strength_spread
     steep = (dip(up[None], stand.field) - earth.inclination) / p.dip_spread
-    weights = stand.dt * (1 + odd * odd + steep * steep) ** -2
-    return weights / jnp.maximum(jnp.sum(weights, axis=0), 1e-30)
+    far = 1 + odd * odd + steep * steep
+    least = jax.lax.stop_gradient(jnp.min(jnp.where(stand.dt > 0, far, 1e12), axis=0))
+    weights = stand.dt * (least / far) ** 2  # over the largest, so that small ones keep their digits
+    return weights / jnp.maximum(jnp.sum(weights, axis=0), 1e-12)
 
 
 def body_from_navigation(q: Array) -> Array:
@@ -238,7 +246,7 @@ def path(p: Align, method: str, stand: Stand, earth: Earth, first: Array | None 
     time = jnp.cumsum(stand.dt, axis=0)
     like = jnp.zeros_like(time[0] + sum(earth) + p.gain + p.decay + p.field_weight)
     if first is None:
-        early = jnp.where(time <= jnp.maximum(0.2, stand.dt[0]), stand.dt, 0.0)
+        early = jnp.where(_middles(stand.dt) < jnp.maximum(0.2, stand.dt[0]), stand.dt, 0.0)
         level = constant(np.eye(3), like) + 0 * like
         by_triad = triad(_mean(stand.force, early), _mean(stand.field, early), earth.north)
         first = by_triad if p.seed == "triad" else level
@@ -335,8 +343,8 @@ def aligned(p: Align, method: str, stand: Stand, earth: Earth, first: Array | No
     """The attitude of a stand by one of `METHODS` but levelling; `first (3, 3, *L)` is where a samplewise one
     begins, if not where its seed says."""
     dt = stand.dt
-    time = jnp.cumsum(dt, axis=0)
-    last = jnp.where(time > time[-1] - LAST_S, dt, 0.0)
+    middles = _middles(dt)
+    last = jnp.where(middles > jnp.sum(dt, axis=0) - LAST_S, dt, 0.0)
     if method in SAMPLEWISE:
         attitudes = path(p, method, stand, earth, first)
         attitude = _middle(attitudes, last)

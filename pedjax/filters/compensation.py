@@ -85,8 +85,9 @@ def chosen(
     left, right = rotations.wrap(innovation - angle), rotations.wrap(innovation + angle)
     far = (left * left - right * right) / (2 * (variance + own))
     of_right = jax.nn.sigmoid(far / p.softness)
-    moved = rotations.wrap(innovation + (2 * of_right - 1) * angle)
-    between = 4 * of_right * (1 - of_right) * angle * angle
+    apart = right - left  # not twice the angle: sides that are half a turn away meet there
+    moved = left + of_right * apart
+    between = of_right * (1 - of_right) * apart * apart
     ratio = log_positive(disturbance / jnp.maximum(earth, 1e-6))
     on = gate(jnp.log(p.least) - ratio, p.width, p.straight_through)
     by = rotations.wrap(moved - innovation)
