@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -142,7 +143,10 @@ def run(
         euler=np.asarray(jax.jit(rotations.to_euler)(attitude)).T,
         status=status,
         healthy=not len(faults) and opened,
-        warnings=tuple(_warnings(chosen, walk, status, gates, names)),
+        warnings=(
+            *_warnings(chosen, walk, status, gates, names),
+            *_of_field(params, output.more),
+        ),
         more=output.more,
     )
 
@@ -158,6 +162,37 @@ def _warnings(
     first_role = system.needs[0].role
     if first_role == "foot" and not names["foot"].startswith("foot"):
         notes.append(f"sensor '{names['foot']}' is not on a foot, where alone zero-velocity updates hold")
+    return notes
+
+
+_ODD_STRENGTH, _ODD_DIP = 0.15, math.radians(10.0)
+
+
+def _of_field(params: Any, more: dict[str, np.ndarray]) -> list[str]:
+    """Whether the looks at the field fit the earth's field that was given, and the first yaw what later clean
+    fields say of it."""
+    notes, looked = [], more.get("look", np.zeros(0)) > 0
+    q = getattr(params, "compass", None)
+    if q is not None and looked.any() and getattr(q, "reference", "") == "given":
+        field = more["magnetic_field"][looked]
+        size = float(np.median(np.linalg.norm(field, axis=1)))
+        dip = float(np.median(np.arctan2(-field[:, 2], np.linalg.norm(field[:, :2], axis=1))))
+        if abs(size / float(q.strength) - 1) > _ODD_STRENGTH or abs(dip - float(q.inclination)) > _ODD_DIP:
+            notes.append(
+                f"the field is {size:.1f} uT strong and dips {math.degrees(dip):.0f} degrees in the median, "
+                f"where compass.strength says {float(q.strength):.1f} and compass.inclination "
+                f"{math.degrees(float(q.inclination)):.0f}: look them up for the place, or set "
+                "compass.reference = running"
+            )
+    if "start_error" in more and len(more["start_error"]):
+        error, sigma = float(more["start_error"][-1]), float(more["start_error_sigma"][-1])
+        mended = bool(more["start_mended"][-1] > 0)
+        if abs(error) > max(4 * sigma, math.radians(5.0)):
+            told = "the path was turned" if mended else "initial.align.check = mend turns the path by it"
+            notes.append(
+                f"later clean fields say that the first yaw is to be turned by {math.degrees(error):+.0f} degrees "
+                f"(standard deviation {math.degrees(sigma):.0f}): {told}"
+            )
     return notes
 
 

@@ -27,13 +27,11 @@ from pedjax.runtime import default_cache
 
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "ZUPT": ("wang_basic", {}),
-    "ZUPT, rest": ("wang_basic", {"initial.bias": "rest"}),
     "ZUPT + start": ("wang_agda", {}),
     "ZUPT + start, rest": ("wang_agda", {"initial.bias": "rest"}),
     "alpha zero": ("wang_alpha_zero", {}),
     "improved": ("wang", {}),
     "improved, law as printed": ("wang", {"compass.adaptive.law": "trace"}),
-    "improved, not compensated": ("wang", {"compass.compensation.mode": "none"}),
     "best": ("wang_best", {}),
     "best, no rest": ("wang_best", {"initial.bias": "zero"}),
 }
