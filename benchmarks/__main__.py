@@ -2,9 +2,9 @@
 
     python -m benchmarks [SECTION ...] [--quick] [--out DIR] [--limit C_FILE] [--vicon FOLDER]
 
-Sections: walk, lanes, detectors, gradient, sweep (default: all of these); trials, with PyShoe's Vicon trials;
-and gpu where there is one. What runs on one core is in processor time, best of three after compilation;
-sweeps, trials and a GPU in wall time.
+Sections: walk, lanes, detectors, gradient, alignment, sweep (default: all of these); trials, with PyShoe's
+Vicon trials; and gpu where there is one. What runs on one core is in processor time, best of three after
+compilation; sweeps, trials and a GPU in wall time.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 import pedjax
 from pedjax.runtime import available_cores
 
-SECTIONS = ("walk", "lanes", "detectors", "gradient", "sweep")
+SECTIONS = ("walk", "lanes", "detectors", "gradient", "alignment", "sweep")
 APART = ("trials", "gpu")
 
 
@@ -120,6 +120,16 @@ def _lanes(size: int, args: argparse.Namespace) -> dict[str, Any]:
             plain = found[name][chosen]
             print(f"{name}, with a second update of three rows: {plain / double:.2f} times the cost")
             found[f"{name}_second_update"] = plain / double
+    return found
+
+
+def _alignment(size: int, args: argparse.Namespace) -> dict[str, dict[str, float]]:
+    from benchmarks import alignment
+
+    found = {method: alignment.shares(60_000 // size, method) for method in ("agda", "weighted")}
+    for method, each in found.items():
+        told = ", ".join(f"{kind} {share:.2%}" for kind, share in each.items())
+        print(f"{method:10} 7 s of ten minutes, of the whole: {told}")
     return found
 
 

@@ -190,7 +190,7 @@ def _of_field(params: Any, more: dict[str, np.ndarray]) -> list[str]:
         if abs(error) > max(4 * sigma, math.radians(5.0)):
             told = "the path was turned" if mended else "initial.align.check = mend turns the path by it"
             notes.append(
-                f"later clean fields say that the first yaw is to be turned by {math.degrees(error):+.0f} degrees "
+                f"later clean fields turn the first yaw by {math.degrees(error):+.0f} degrees "
                 f"(standard deviation {math.degrees(sigma):.0f}): {told}"
             )
     return notes
