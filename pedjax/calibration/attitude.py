@@ -12,7 +12,9 @@ the undisturbed horizontal field.
 
       q ← q + ((d/(1 + d)) ½ q ⊗ ω − (1/(1 + d)) β ∇/‖∇‖) dt,   d = |‖m‖/F − 1|,   β = β₀/(1 + (t/t₀)²),
 
-  with t₀ the `decay`, and less in proportion in a stand shorter than 5 s, which would end far from done.
+  with t₀ the `decay`, and less in proportion in a stand shorter than 5 s, which would end far from done; and
+  with ∇/√(‖∇‖² + ε²) for ∇/‖∇‖, which is the limit ε = 0: steps that never get shorter zigzag about the
+  solution, and what comes of them says nothing of how it moves with the gain.
 
 What Wang prints and what is here (checked against finite differences and TRIAD):
 
@@ -88,6 +90,12 @@ class Align:
         meaning="Time at which the descent's gain is half (in a short stand, sooner); raised, far starts "
         "arrive more surely, and the end is noisier.",
     )  # fmt: skip
+    softness: Array = leaf(
+        0.05, unit="1", low=1e-6, high=10.0, source=f"{_KIT}; Madgwick: 0", tune=True,
+        when={"alignment": ("gda", "agda")},
+        meaning="Length of the descent's gradient below which its steps shrink; towards 0 they are all as long "
+        "as the gain says, raised the end is smoother and later.",
+    )  # fmt: skip
     field_weight: Array = leaf(
         0.3, unit="1", low=1e-3, high=10.0, source=_KIT, tune=True, when={"alignment": "gauss_newton"},
         meaning="Weight of the field beside the force in Gauss-Newton; raised with a fixed reference, a "
@@ -145,7 +153,8 @@ class Aligned(NamedTuple):
     """The first `attitude (3, 3, *L)`, and how sure it is.
 
     `tilt` and `heading (*L)` rad² are the variances that the stand shows: by the unrest of force and field,
-    the tilt's part in the heading, and the disturbance, see `heading_variance`. `spread (2, *L)` rad is how
+    the tilt's part in the heading, and the disturbance, see `heading_variance`. Unrest counts as of a single
+    sample, since sway and what passes by are the same for many. `spread (2, *L)` rad is how
     far tilt and heading of single samples lie from it, RMS, in the last second. `field (3, *L)` is the mean
     field in navigation axes and `disturbance (3, *L)` that less the earth's, µT.
     """
@@ -244,7 +253,7 @@ def path(p: Align, method: str, stand: Stand, earth: Earth, first: Array | None 
     """The attitude after each sample, `(n, 3, 3, *L)`, of a samplewise method, from `first (3, 3, *L)` or
     from where `initial.align.seed` says."""
     time = jnp.cumsum(stand.dt, axis=0)
-    like = jnp.zeros_like(time[0] + sum(earth) + p.gain + p.decay + p.field_weight)
+    like = jnp.zeros_like(time[0] + sum(earth) + p.gain + p.decay + p.softness + p.field_weight)
     if first is None:
         early = jnp.where(_middles(stand.dt) < jnp.maximum(0.2, stand.dt[0]), stand.dt, 0.0)
         level = constant(np.eye(3), like) + 0 * like
@@ -312,7 +321,7 @@ def _descending(
         up, scaled = force / norm(force, small=1e-24), field / earth.strength
         seen = matvec(transpose(body_from_navigation(q)), scaled)
         slope = jax.grad(total)(q, up, scaled, _reference(p, earth, seen))
-        down = slope / norm(slope, small=1e-18)
+        down = slope / jnp.sqrt(dot(slope, slope) + p.softness**2)
         turning = 0.5 * jnp.concatenate([-dot(q[1:], rate)[None], q[0] * rate + cross(q[1:], rate)])
         beta = p.gain / (1 + (time / decay) ** 2)
         if adaptive:

@@ -253,7 +253,7 @@ def test_samplewise_methods_equal_the_loops(method, how):
             if method == "gauss_newton":
                 expected = naive.gauss_newton(stand, earth, start, float(p.field_weight), how)
             else:
-                numbers = float(p.gain), float(p.decay), how, method == "agda"
+                numbers = float(p.gain), float(p.decay), float(p.softness), how, method == "agda"
                 expected = naive.descent(stand, earth, start, *numbers, along=ours)
                 whole = naive.descent(stand, earth, start, *numbers)
                 np.testing.assert_allclose(ours[:20], whole[:20], atol=1e-9, err_msg=name)
@@ -414,8 +414,8 @@ def test_when_it_has_converged_is_the_first_sample_that_stays():
 
 SLOPES = {
     "weighted": ("strength_spread", "dip_spread"),
-    "gda": ("gain", "decay"),
-    "agda": ("gain", "decay"),
+    "gda": ("gain", "decay", "softness"),
+    "agda": ("gain", "decay", "softness"),
     "gauss_newton": ("field_weight",),
 }
 

@@ -178,14 +178,17 @@ def descent(
     first: Array,
     gain: float,
     decay: float,
+    softness: float,
     how: str,
     adaptive: bool,
     along: Array | None = None,
 ) -> Array:
-    """The attitude (n, 3, 3) after each sample: Madgwick's steps, or AGDA's. With `along` (n, 3, 3) each step
+    """The attitude (n, 3, 3) after each sample: Madgwick's steps, or AGDA's; a stand of less than 5 s has a
+    shorter decay, in proportion. With `along` (n, 3, 3) each step
     begins where the one before it ended there: steps of fixed length zigzag, and multiply what rounding
     leaves."""
     q, time, found = quaternion(turn(earth.north).T @ first), 0.0, []
+    decay = decay * min(stand.dt.sum() / 5.0, 1.0)
     for k, (dt, force, rate, field) in enumerate(zip(*stand, strict=True)):
         if along is not None and k > 0:
             q = quaternion(turn(earth.north).T @ along[k - 1])
@@ -193,7 +196,7 @@ def descent(
         if dt > 0:
             f, b = unit(force), field / earth.strength
             slope = gradient(q, f, b, reference(earth, matrix(q).T @ b, how))
-            down = slope / np.sqrt(slope @ slope + 1e-18)  # none where there is no slope
+            down = slope / np.sqrt(slope @ slope + softness**2)  # none where there is no slope
             turning = 0.5 * product(q, np.array([0.0, *rate]))
             beta = gain / (1 + (time / decay) ** 2)
             if adaptive:
