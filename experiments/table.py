@@ -26,7 +26,8 @@ def main_of(
     about: str, parts: Mapping[str, Part], out: Path, first_seed: int, walks: Callable[[str], int]
 ) -> None:
     """The command line of an experiment of several parts, each with seeds from `first_seed` on and as many
-    walks as it asks for; its lines are written to `PART_told.csv`."""
+    walks as it asks for. Lines are written to `PART_told.csv`, and all of them to a table with the name of
+    `out`."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", help=f"which: {', '.join(parts)} (all)")
     parser.add_argument("--walks", type=int, help="seeds of each place")
@@ -37,7 +38,10 @@ def main_of(
         parser.error(f"there is no part {', '.join(sorted(unknown))}; choose from {', '.join(parts)}")
     pedjax.configure(cache=default_cache())
     where = folder(args.out)
+    told: list[Row] = []
     for part in args.parts or parts:
         seeds = range(args.first_seed, args.first_seed + (args.walks or walks(part)))
         rows = parts[part](seeds, where)
-        write_table(where / f"{part}_told.csv", {key: [line[key] for line in rows] for key in rows[0]})
+        told += rows
+        for name, some in ((f"{part}_told", rows), (out.name, told)):
+            write_table(where / f"{name}.csv", {key: [line[key] for line in some] for key in some[0]})

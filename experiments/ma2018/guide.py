@@ -9,37 +9,15 @@ the guide to docs/tables.
 
 from __future__ import annotations
 
-import argparse
-import csv
-import re
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from experiments.guide import DOCS, Guide, Line, against, write
 from experiments.ma2018 import spread
 
-ROOT = Path(__file__).parents[2]
-GUIDE, TABLES = ROOT / "docs" / "ma2018.md", ROOT / "docs" / "tables"
-WRITTEN = ("spread", "detection_areas", "detection_turns", "ma2018")
 DETECTORS = ("qsf", "iqsf", "ma", "vector")
 TOLD = ("T1", "T1b", "F7", "C", "F10", "F12", "F13,14", "F15,16", "S")
-
-Line = dict[str, Any]
-
-
-def lines(path: Path) -> list[Line]:
-    """Rows of a table, numbers as numbers."""
-
-    def value(text: str) -> Any:
-        try:
-            return float(text)
-        except ValueError:
-            return text
-
-    with path.open(encoding="utf-8", newline="") as file:
-        return [{key: value(x) for key, x in row.items()} for row in csv.DictReader(file)]
 
 
 def areas(found: Sequence[Line]) -> str:
@@ -80,50 +58,18 @@ def rates(found: Sequence[Line]) -> str:
     return "\n".join(rows)
 
 
-def against(found: Sequence[Line]) -> str:
-    """The published number beside ours."""
-    rows = ["| | | published | here | met |", "|---|---|---|---|---|"]
-    for x in found:
-        if x["id"] in TOLD:
-            rows.append(f"| {x['id']} | {x['what']} | {x['published']} | {x['ours']} | {x['met']} |")
-    return "\n".join(rows)
-
-
-def blocks(tables: Path = TABLES) -> dict[str, str]:
-    """Each table of the guide by the name in its comment."""
-    known = {name: lines(tables / f"{name}.csv") for name in WRITTEN}
+def _blocks(known: Mapping[str, list[Line]]) -> dict[str, str]:
     return {
         "spread": spread.markdown(known["spread"]).strip(),
         "areas": areas(known["detection_areas"]),
         "rates": rates(known["detection_turns"]),
-        "against": against(known["ma2018"]),
+        "against": against(known["ma2018"], TOLD),
     }
 
 
-def with_blocks(text: str, made: dict[str, str]) -> str:
-    """The guide with its tables written anew."""
-    for name, table in made.items():
-        mark = re.compile(rf"(<!-- {name} -->\n\n).*?(\n\n<!-- end -->)", re.S)
-        text, count = mark.subn(lambda m, table=table: m[1] + table + m[2], text)  # type: ignore[misc]
-        if count != 1:
-            raise ValueError(f"the guide needs one comment <!-- {name} --> with its <!-- end -->")
-    return text
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folders", nargs="+", type=Path, help="where the parts were written")
-    args = parser.parse_args()
-    TABLES.mkdir(exist_ok=True)
-    for name in WRITTEN:
-        parts = [path for folder in args.folders if (path := folder / f"{name}.csv").exists()]
-        texts = [path.read_text(encoding="utf-8").splitlines() for path in parts]
-        whole = list(dict.fromkeys([texts[0][0], *(line for text in texts for line in text[1:])]))
-        (TABLES / f"{name}.csv").write_text("\n".join(whole) + "\n", encoding="utf-8")
-    GUIDE.write_text(with_blocks(GUIDE.read_text(encoding="utf-8"), blocks()), encoding="utf-8")
+WRITTEN = ("spread", "detection_areas", "detection_turns", "ma2018")
+GUIDE = Guide(DOCS / "ma2018.md", {name: name for name in WRITTEN}, _blocks)
 
 
 if __name__ == "__main__":
-    main()
+    write(__doc__, GUIDE)

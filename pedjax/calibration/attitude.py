@@ -93,8 +93,8 @@ class Align:
     softness: Array = leaf(
         0.05, unit="1", low=1e-6, high=10.0, source=f"{_KIT}; Madgwick: 0", tune=True,
         when={"alignment": ("gda", "agda")},
-        meaning="Length of the descent's gradient below which its steps shrink; towards 0 they are all as long "
-        "as the gain says, raised the end is smoother and later.",
+        meaning="Length of the gradient below which steps shrink with it; towards 0 they are as long as the "
+        "gain says, raised the end is smoother and later.",
     )  # fmt: skip
     field_weight: Array = leaf(
         0.3, unit="1", low=1e-3, high=10.0, source=_KIT, tune=True, when={"alignment": "gauss_newton"},

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pedjax.detectors.rest import standing_start
+from pedjax.detectors.rest import standing_rows, standing_start
 from tests import tools
 from tests.reference import detectors as naive
 
@@ -98,3 +98,18 @@ def test_in_single_precision(rng):
     assert found.windows == windows
     np.testing.assert_allclose(found.rate, mean, atol=1e-8)
     np.testing.assert_allclose(found.spread, spread, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("seconds", "rows"), [(0.0, 0), (0.3, 0), (1.1, 75), (2.0, 175), (6.0, 500)])
+def test_a_foot_stands_until_the_window_before_it_steps(rng, seconds, rows):
+    """Five seconds are asked for; where it steps later, none of them is left out."""
+    rate, dt = resting(rng, seconds)
+    assert int(standing_rows(rate, dt, HZ, 5.0)) == rows
+
+
+def test_a_stand_may_sway_where_a_rest_may_not(rng):
+    rate, dt = resting(rng, 6.0)
+    rate[100:150, 1] += 0.03  # 1.7 deg/s for half a second
+    assert float(standing_start(rate, dt, HZ, 5.0).windows) == 4
+    assert int(standing_rows(rate, dt, HZ, 5.0)) == 500
+    assert int(standing_rows(rate, dt, HZ, 5.0, 300)) == 275

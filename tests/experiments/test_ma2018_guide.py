@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 
-from experiments.ma2018 import guide, spread
+from experiments import guide
+from experiments.ma2018 import spread
+from experiments.ma2018.guide import GUIDE
 
-TEXT = guide.GUIDE.read_text(encoding="utf-8")
+TEXT = GUIDE.path.read_text(encoding="utf-8")
 SPREAD = {(x["place"], x["filter"]): x for x in guide.lines(guide.TABLES / "spread.csv")}
 
 
 def test_its_tables_are_those_written():
-    assert guide.with_blocks(TEXT, guide.blocks()) == TEXT
+    assert guide.with_blocks(TEXT, GUIDE.blocks()) == TEXT
 
 
 STRONGER = "ZUPT, 0.01 m/s"

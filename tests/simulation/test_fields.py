@@ -572,3 +572,41 @@ def test_impossible_walls_are_refused(change, message):
 def test_impossible_stretches_are_refused(given, message):
     with pytest.raises(InputError, match=message):
         Stretch(*given)
+
+
+ROUTE = np.column_stack([np.linspace(0, 60, 90), 3 * np.sin(np.linspace(0, 4, 90)), np.zeros(90)])
+
+
+def felt(groups, at, time=0.0):
+    """Strength in microtesla of what is added at places (N, 3)."""
+    field = compose(jnp.zeros(3), *groups)
+    return np.linalg.norm(np.asarray(fields.field_at(field, jnp.asarray(at).T, time)), axis=0)
+
+
+def test_bumps_are_as_high_as_asked_for_and_not_at_the_start():
+    foot = np.add(ROUTE, [0.0, 0.0, 0.1])
+    dipoles, movers = fields.outdoors(ROUTE, 3, bumps=5, low=6.0, high=18.0)
+    assert len(dipoles.position) == 5
+    assert len(movers.position) == 0
+    for k in range(5):
+        one = fields.Dipoles(dipoles.position[k : k + 1], dipoles.moment[k : k + 1])
+        assert 5.999 < felt([one], foot).max() < 18.001
+    assert felt([dipoles], foot[:1])[0] < 2.0
+    again, _ = fields.outdoors(ROUTE, 3, bumps=5)
+    np.testing.assert_array_equal(again.moment, dipoles.moment)
+    assert not np.array_equal(fields.outdoors(ROUTE, 4, bumps=5)[0].moment, dipoles.moment)
+
+
+def test_a_start_is_disturbed_where_it_is_and_a_car_passes_while_one_stands():
+    foot = np.add(ROUTE, [0.0, 0.0, 0.1])
+    dipoles, _ = fields.outdoors(ROUTE, 3, start=15.0)
+    assert felt([dipoles], foot[:1])[0] == pytest.approx(15.0, rel=1e-6)
+    assert felt([dipoles], foot[10:]).max() < 0.5
+    _, movers = fields.outdoors(ROUTE, 3, car=20.0, standing_s=7.0)
+    time = np.arange(0.0, 12.0, 0.02)
+    seen = np.array([felt([movers], foot[:1], t)[0] for t in time])
+    assert seen.max() == pytest.approx(20.0, rel=0.05)
+    assert 0.2 * 7.0 - 0.05 < time[seen.argmax()] < 0.8 * 7.0 + 0.05
+    assert seen[time > 9.0].max() < 0.5
+    with pytest.raises(InputError, match="stays within 8 m of its start has no room for bumps"):
+        fields.outdoors(ROUTE[:5], 3, bumps=2)

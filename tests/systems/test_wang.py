@@ -166,6 +166,16 @@ def test_presets_walk_the_street(walked, name):
     assert np.linalg.norm(track.position[-1, :2] - (place[-1] - place[0])[:2]) < 1.0
 
 
+def test_a_run_says_where_the_given_field_does_not_fit(walked):
+    fits = pedjax.run(walked.recording, WANG, wang())
+    assert not fits.warnings
+    wrong = {"compass.strength": 40.0, "compass.inclination": -0.2}
+    (note, *_) = pedjax.run(walked.recording, WANG, parameters.replace(wang(), wrong)).warnings
+    assert "the field is 48" in note
+    assert "compass.strength says 40.0 and compass.inclination -11" in note
+    assert "compass.reference = running" in note
+
+
 SLOPES = {
     "agda": {
         "initial.align.gain": 20.0, "initial.align.decay": 0.7, "compass.adaptive.scale": 1.0,
