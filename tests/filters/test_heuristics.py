@@ -114,6 +114,9 @@ def test_every_form_equals_the_loops(strides, case):
     if theirs[0].bias is not None:
         assert ours.rows is None
         np.testing.assert_allclose(ours.bias.T, [x.bias for x in theirs], rtol=1e-9, atol=1e-18)
+        assert (ours.yaw is None) == (theirs[0].yaw is None)
+        if ours.yaw is not None:
+            np.testing.assert_allclose(ours.yaw, [x.yaw for x in theirs], rtol=1e-9, atol=1e-15)
         return
     assert ours.bias is None
     assert set(ours.rows.H) == {theirs[0].state}
