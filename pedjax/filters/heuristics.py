@@ -11,9 +11,8 @@ Each form is a function of what is known when a stride has ended, and gives a me
 - `integrator` (HDR of Borenstein and Ojeda 2009): on straights the bias about up moves by a fixed amount
   against the sign of the turn.
 - `hde` (Borenstein and Ojeda 2010): the same against the side on which the nearest dominant direction lies.
-  The yaw integrates the bias and the bias the yaw, with nothing between: the published controller swings
-  about the direction, with a growing amplitude where strides tell late. Here the yaw itself is turned by a
-  small share of the deviation, too, which damps it (`turn`; 0 as published).
+  The yaw integrates the bias and the bias the yaw, so that alone this swings about the direction and never
+  settles: the yaw itself is turned by a small share of the deviation, too (`turn`; 0 as published).
 - `ihde` (Jimenez 2011): the deviation from the nearest direction as a row on yaw, which counts less the
   farther that is and the less straight the walk.
 - `mihde` (Jimenez 2012): the same, where the magnetic heading agrees on which direction it is.
