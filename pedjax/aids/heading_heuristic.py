@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from pedjax import rotations
@@ -27,7 +28,7 @@ from pedjax.filters.covariance import Covariance, states_of
 from pedjax.filters.filter import Opening
 from pedjax.filters.heuristics import Axis, Heuristic, Run, Walked
 from pedjax.gates import gate
-from pedjax.lanes import hypotenuse
+from pedjax.lanes import constant, hypotenuse
 from pedjax.system import Gated
 
 
@@ -116,6 +117,9 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
     if told.bias is not None:
         nothing = jnp.zeros_like(nav.position)
         correction = dict.fromkeys(states_of(from_.P), nothing) | {"g": weight * told.bias + nothing}
+        if told.yaw is not None:
+            yaw = weight * told.yaw
+            correction["t"] = constant(np.array([0.0, 0.0, 1.0]), yaw) * yaw + nothing
         moved = from_.P, correction
     run = jax.tree.map(lambda x: jnp.where(over > 0, 0.0, x), run)
     place = jnp.where(now > 0, nav.position, state.place)

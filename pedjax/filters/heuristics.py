@@ -11,6 +11,8 @@ Each form is a function of what is known when a stride has ended, and gives a me
 - `integrator` (HDR of Borenstein and Ojeda 2009): on straights the bias about up moves by a fixed amount
   against the sign of the turn.
 - `hde` (Borenstein and Ojeda 2010): the same against the side on which the nearest dominant direction lies.
+  The yaw integrates the bias and the bias the yaw, so that alone this swings about the direction and never
+  settles: the yaw itself is turned by a small share of the deviation, too (`turn`; 0 as published).
 - `ihde` (Jimenez 2011): the deviation from the nearest direction as a row on yaw, which counts less the
   farther that is and the less straight the walk.
 - `mihde` (Jimenez 2012): the same, where the magnetic heading agrees on which direction it is.
@@ -125,6 +127,11 @@ class Hde:
 
     gain: Array = _gain(7e-6, "HDE")
     softness: Array = _softness("rad", 0.01, "a deviation")
+    turn: Array = leaf(
+        0.1, unit="1", low=0.0, high=1.0, scale="linear", source=f"{_KIT}; 0: Borenstein 2010", tune=True,
+        meaning="Share of a deviation up to `softness` by which a straight stride turns the yaw itself; "
+        "raised, the bias swings less about the direction.",
+    )  # fmt: skip
 
 
 @parameters
@@ -263,11 +270,12 @@ class Walked(NamedTuple):
 
 class Told(NamedTuple):
     """What a form says: `rows`, and how much of their information counts, `weight (*L)`; or by how much the
-    gyroscope's `bias (3, *L)` is to move."""
+    gyroscope's `bias (3, *L)` is to move, and the `yaw (*L)` rad with it."""
 
     weight: Array
     rows: Rows | None = None
     bias: Array | None = None
+    yaw: Array | None = None
 
 
 def _on_yaw(innovation: Array, sigma: Array) -> Rows:
@@ -304,7 +312,8 @@ def _integrator(p: Integrator, seen: Walked) -> Told:
 
 
 def _hde(p: Hde, seen: Walked) -> Told:
-    return Told(seen.straight * seen.known, bias=p.gain * jnp.tanh(seen.away / p.softness) * seen.up)
+    side = jnp.tanh(seen.away / p.softness)
+    return Told(seen.straight * seen.known, bias=p.gain * side * seen.up, yaw=-p.turn * p.softness * side)
 
 
 def _directed(axis: Directions, seen: Walked, sure: Array, sigma: Array) -> Told:

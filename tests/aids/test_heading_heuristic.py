@@ -187,3 +187,24 @@ def test_strides_turn_with_the_path(found):
     away = np.asarray(turned.more["stride_heading"] - plain.more["stride_heading"])[ends]
     expected = np.where(ends > STANDING, TURN, 0.0)
     np.testing.assert_allclose(np.arctan2(np.sin(away), np.cos(away)), expected, atol=0.01)
+
+
+def test_hde_turns_the_yaw_towards_the_direction(found):
+    """By the share of the deviation that it is told to, at the end of a stride, beside the bias."""
+    changes = {
+        "heuristic__form": "hde",
+        "heuristic__hde__gain": 1e-8,
+        "heuristic__hde__softness": 1.0,
+        "heuristic__directions__known": "given",
+        "heuristic__directions__axis": 0.05,
+    }
+    still, turned = (over(WALKER, found, heuristic__hde__turn=turn, **changes) for turn in (0.0, 0.2))
+    yaws = [np.unwrap(np.arctan2(*np.moveaxis(np.asarray(x.estimate.attitude)[:, 1::-1, 0], 1, 0)))
+            for x in (still, turned)]  # fmt: skip
+    moved = np.diff(yaws[1] - yaws[0])
+    straight = np.asarray(turned.gates["straight"].weight)
+    first = int(np.flatnonzero(straight)[0])
+    away = float(turned.more["deviation"][first])
+    assert abs(away) > 0.01
+    assert moved[first - 1] == pytest.approx(-0.2 * straight[first] * np.tanh(away), rel=0.02)
+    assert np.abs(moved[: first - 1]).max(initial=0.0) < 1e-9

@@ -114,6 +114,9 @@ def test_every_form_equals_the_loops(strides, case):
     if theirs[0].bias is not None:
         assert ours.rows is None
         np.testing.assert_allclose(ours.bias.T, [x.bias for x in theirs], rtol=1e-9, atol=1e-18)
+        assert (ours.yaw is None) == (theirs[0].yaw is None)
+        if ours.yaw is not None:
+            np.testing.assert_allclose(ours.yaw, [x.yaw for x in theirs], rtol=1e-9, atol=1e-15)
         return
     assert ours.bias is None
     assert set(ours.rows.H) == {theirs[0].state}
@@ -299,6 +302,30 @@ def test_the_soft_weight_in_its_limits(share):
     assert found.weight[1] < 1e-10
     assert found.weight[2] < found.weight[0]
     np.testing.assert_allclose(found.rows.innovation[0], [0.0, -np.radians(45), -0.02])
+
+
+def test_hde_swings_about_a_direction_unless_it_turns_the_yaw():
+    """A yaw that drifts by a bias, an end of a stride each second: the bias moves it back, and on."""
+    vector = jnp.zeros((3, 1))
+    up, P = vector.at[2].set(1.0), blocks(np.eye(15)[..., None])
+
+    @jax.jit
+    def walked(p):
+        def stride(state, _):
+            off, bias = state  # of the yaw, and what is left of the bias
+            like = jnp.ones(1)
+            seen = Walked((like,) * COUNT, like, like, 0 * like, off, like, Run(*(like,) * 7, vector), like,
+                          up, None, P)  # fmt: skip
+            found = FORMS["hde"](p, seen)
+            off, bias = off + found.weight * found.yaw, bias - found.weight * found.bias[2]
+            return (off + bias, bias), off
+
+        return jax.lax.scan(stride, (jnp.zeros(1), jnp.full(1, 1e-4)), None, length=400)[1][:, 0]
+
+    swings, calm = (walked(chosen({"form": "hde", "hde.turn": turn})) for turn in (0.0, 0.1))
+    assert np.abs(swings[-100:]).max() > 0.9 * np.abs(swings).max()
+    assert np.abs(calm).max() < 0.5 * np.abs(swings).max()
+    assert np.abs(calm[-100:]).max() < 0.2 * np.abs(calm).max()
 
 
 @pytest.mark.parametrize("form", ["ihde", "von_mises"])

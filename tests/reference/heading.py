@@ -42,7 +42,8 @@ def away(heading: float, axis: float, count: int) -> float:
 
 
 class Told(NamedTuple):
-    """A row H (3,) on a state ("t" or "g") and its weight; or a move (3,) of the gyroscope's bias."""
+    """A row H (3,) on a state ("t" or "g") and its weight; or a move (3,) of the gyroscope's bias, and one of
+    the yaw."""
 
     state: str = ""
     H: Array | None = None
@@ -50,6 +51,7 @@ class Told(NamedTuple):
     variance: float = 0.0
     weight: float = 0.0
     bias: Array | None = None
+    yaw: float | None = None
 
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -85,8 +87,9 @@ def integrator(p: Any, s: dict[str, Any]) -> Told:
 
 
 def hde(p: Any, s: dict[str, Any]) -> Told:
-    gain = p.hde.gain * np.tanh(s["away"] / p.hde.softness)
-    return Told(weight=s["straight"] * s["known"], bias=gain * s["up"])
+    side = np.tanh(s["away"] / p.hde.softness)
+    turn = -p.hde.turn * p.hde.softness * side
+    return Told(weight=s["straight"] * s["known"], bias=p.hde.gain * side * s["up"], yaw=turn)
 
 
 def directed(p: Any, s: dict[str, Any], sure: float, sigma: float) -> Told:
