@@ -48,7 +48,7 @@ def standing_rows(
     energy = jnp.sum(jnp.mean(windows**2, axis=1), axis=1)
     stands = jnp.cumsum(~((energy < STEPPING**2) & real.all(axis=1))) == 0
     count = jnp.sum(stands)
-    return jnp.where(count < len(stands), count - 1, count) * _width(rate_hz)
+    return jnp.maximum(jnp.where(count < len(stands), count - 1, count), 0) * _width(rate_hz)
 
 
 def _windows(
