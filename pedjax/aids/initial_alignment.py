@@ -124,7 +124,7 @@ def _unchecked(p: Any, site: Any, opening: Opening, nav: Any, P: Covariance) -> 
 def _check(p: Any, site: Any, state: State, seen: Seen) -> Measured:
     """A look at the earth's field, carried back to the start; and once they are sure, a turn of the path."""
     told, how, nav = seen.more, p.initial.align, seen.estimate
-    field, now, sigma = told["magnetic_field"], told["look"], told["heading_sigma"]
+    field, now, sigma = told["magnetic_field"], told["look_of_stance"], told["heading_sigma"]
     odd = (detectors.strength(field) - told["reference"][0]) / (2 * how.strength_spread)
     steep = (detectors.inclination(field) - told["reference"][1]) / (2 * how.dip_spread)
     clean = now * (1 + odd * odd + steep * steep) ** -2

@@ -287,9 +287,10 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
             weight = jnp.where(begins | (state.quasi > 0.5), weight, 0.0)
     quasi = jnp.where(now > 0, quasi, state.quasi)
     others, moved = state.rivals, None
+    once = now
+    if q.looking.per == "sample":  # of a stance, one look: the others share its field
+        once = now * jnp.where(looks.follow == enough + 1, 1.0, 0.0)
     if isinstance(others, Rivals):
-        once = now * jnp.where(looks.follow == p.field.window + 1, 1.0, 0.0)  # of a stance, one look
-        once = now if q.looking.per == "step" else once
         odd = detectors.strength(seen.field) - state.reference[0]
         look = rivals.Look(once, innovation, sigma * sigma, P["tt"][2, 2], odd, nav.position)
         others, best, over = rivals.judged(q.rival, others, look, dt)
@@ -311,6 +312,7 @@ def _step(p: Any, site: Any, state: State, from_: Seen) -> Measured:
         "body_field_before": state.before,
         "reference": reference,
         "look_time": looks.clock.time,
+        "look_of_stance": once,
     }
     if alpha is not None:
         more["heading_alpha"] = alpha

@@ -67,7 +67,7 @@ class Align:
     """Numbers of the alignment."""
 
     seconds: float = setting(
-        5.0, source="Wang 2018: 7 s; converged before 5 s",
+        7.0, source="Wang 2018: 7 s of standing",
         meaning="How much of the standing start is used, at most; longer, noise and sway average out, and "
         "what passes by matters less.",
     )  # fmt: skip
@@ -86,7 +86,7 @@ class Align:
         meaning="First gain of the descent; raised, far starts arrive sooner, and the end is noisier.",
     )  # fmt: skip
     decay: Array = leaf(
-        0.7, unit="s", low=0.01, high=1e3, source=_KIT, tune=True, when={"alignment": ("gda", "agda")},
+        1.0, unit="s", low=0.01, high=1e3, source=_KIT, tune=True, when={"alignment": ("gda", "agda")},
         meaning="Time at which the descent's gain is half (in a short stand, sooner); raised, far starts "
         "arrive more surely, and the end is noisier.",
     )  # fmt: skip

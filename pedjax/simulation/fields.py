@@ -597,7 +597,7 @@ def outdoors(
 
     `bumps` dipoles stand 1 to 2.5 m beside it, evenly along it but none near its start, each felt by a foot
     on the route by `low` to `high` µT at most. `start` is felt where the route begins, in a direction of its
-    own, and hardly a few metres on. `car` is felt there, too, where a car that drives past is nearest, at some
+    own, and hardly a few metres on. `car` is felt there, too, where a car that drives by is nearest, at some
     time within the `standing_s` seconds of rest.
     """
     rng = np.random.default_rng([43, seed])
