@@ -15,7 +15,7 @@ from jax import Array
 
 from pedjax import rotations
 from pedjax.aids.aid import Aid, Measured, Seen
-from pedjax.aids.magnetic_heading import Compass
+from pedjax.aids.magnetic_heading import MAGNETIC_HEADING
 from pedjax.aids.zero_velocity import TELL_NO_YAW
 from pedjax.calibration import attitude
 from pedjax.calibration.attitude import Earth, Stand
@@ -106,7 +106,7 @@ def _nothing(p: Any, site: Any, state: Any, seen: Seen) -> Measured:
 
 INITIAL_ALIGNMENT = Aid(
     name="initial_alignment",
-    groups=(("compass", Compass),),
+    groups=MAGNETIC_HEADING.groups,
     field=True,
     is_on=_is_on,
     start=_align,
@@ -162,7 +162,7 @@ def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any
 
 START_CHECK = Aid(
     name="start_check",
-    groups=(("compass", Compass),),
+    groups=MAGNETIC_HEADING.groups,
     reads=("stance", "field"),
     field=True,
     is_on=_is_on,
