@@ -26,7 +26,6 @@ VALUES = {
     "field.detector": ("none", "Wang 2018"),
     "compass.start_sigma": (0.01, "kit choice: as an aligned start is without a disturbance"),
     "compass.looking.per": ("sample", "Wang 2018: at each zero velocity"),
-    "compass.noise.floor": (0.2, "kit choice: 2 deg a stance, whose 30 to 40 samples are views of one field"),
     "compass.looking.levelling": ("attitude", "Wang 2018, Eq. 6"),
     "compass.reference": ("given", "Wang 2018: looked up"),
     "compass.compensation.mode": ("magnitude", "Wang 2018, Eq. 7-8"),
