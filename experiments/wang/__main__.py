@@ -4,8 +4,8 @@
         [--walks 50] [--first-seed 1100] [--out DIR]
 
 Simulated stands and walks take the place of the paper's, which are not public; it prints no number but the
-alignment's. Nothing is tuned here: presets and defaults were chosen on seeds 0 to 11. Walks were looked at three
-times: at seeds 900 to 949 and 1000 to 1049 before the last change, told in the guide, and at 1100 to 1149.
+alignment's. Nothing is tuned here: presets and defaults were chosen on seeds 0 to 11. Walks were looked at
+three times: at seeds 900 to 949 and 1000 to 1049 before the last change, told in the guide, and at 1100 on.
 """
 
 from __future__ import annotations
