@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from experiments.guide import DOCS, Guide, Line, against, write
 
 WAYS = ("triad", "weighted", "gauss_newton", "gda", "agda", "agda fixed")
@@ -54,18 +56,46 @@ def walks(found: Sequence[Line]) -> str:
     return "\n".join(rows)
 
 
+def broad(found: Sequence[Line]) -> str:
+    """Tilt and heading of each still window by each method, deg."""
+    methods = ("triad", "weighted", "gauss_newton", "gda", "agda")
+    rows = ["| trial, from | " + " | ".join(methods) + " |", "|---" * (len(methods) + 1) + "|"]
+    for x in found:
+        cells = [f"{x[f'{m}_tilt']:.2f}, {x[f'{m}_heading']:+.2f}" for m in methods]
+        rows.append(f"| {x['trial']}, {x['from_s']:.0f} s | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def recorded(found: Sequence[Line]) -> str:
+    """Errors of each walk and loop with each preset, m, and their means."""
+    names = [key for key in found[0] if key not in ("recording", "kind")]
+    rows = ["| | " + " | ".join(f"`{n}`" for n in names) + " |", "|---" * (len(names) + 1) + "|"]
+    for kind in dict.fromkeys(x["kind"] for x in found):
+        some = [x for x in found if x["kind"] == kind]
+        for x in some:
+            name = (
+                str(x["recording"]).replace("SensorConnectData_", "").replace("Measurement_100521_", "loop ")
+            )
+            rows.append(f"| {name.replace('_data_inert', '')} | {' | '.join(f'{x[n]:.2f}' for n in names)} |")
+        means = " | ".join(f"**{np.mean([x[n] for x in some]):.2f}**" for n in names)
+        rows.append(f"| mean of {len(some)} {kind}s | {means} |")
+    return "\n".join(rows)
+
+
 def _blocks(known: Mapping[str, list[Line]]) -> dict[str, str]:
     return {
         "stands": stands(known["wang_alignment"]),
         "branch": against(known["wang_branch_told"]),
         "noise": noise(known["wang_noise"]),
         "walks": walks(known["wang_walks"]),
+        "broad": broad(known["wang_broad"]),
+        "recorded": recorded(known["wang_presets"]),
         "alignment told": against(known["wang_alignment_told"]),
         "walks told": against(known["wang_walks_told"]),
     }
 
 
-WRITTEN = ("alignment", "branch_told", "noise", "walks", "alignment_told", "walks_told")
+WRITTEN = ("alignment", "branch_told", "noise", "walks", "alignment_told", "walks_told", "broad", "presets")
 GUIDE = Guide(DOCS / "wang2018.md", {f"wang_{name}": name for name in WRITTEN}, _blocks)
 
 
