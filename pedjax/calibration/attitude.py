@@ -24,6 +24,7 @@ What Wang prints and what is here (checked against finite differences and TRIAD)
   of degrees wrong: with z up the field of the north has −sin κ.
 - m is "normalised", which would make d zero: it is scaled by the earth's strength.
 - Eq. 3e has no step dt and no normalisation (a superscript T stands for the step).
+- ω is the rate less its mean over the stand: a bias of 0.2 deg/s would pull the descent after it.
 - Eq. 4 has the disturbance with the wrong sign for Eq. 5; here δ = C m − mⁿ.
 
 A constant β jitters by 2 β dt, or does not arrive. β₀/(1 + k/50), too, leaves one start in ten more than 20
@@ -261,7 +262,8 @@ def path(p: Align, method: str, stand: Stand, earth: Earth, first: Array | None 
         first = by_triad if p.seed == "triad" else level
     turn = rotations.from_euler(like, like, earth.north + like)  # from axes with magnetic north along x
     start = matmul(transpose(turn), first + 0 * like)
-    given = (stand.dt, time, stand.force, stand.rate, stand.field)
+    rate = stand.rate - _mean(stand.rate, stand.dt)  # what is there all the time is no turn but a bias
+    given = (stand.dt, time, stand.force, rate, stand.field)
     if method == "gauss_newton":
         found = jax.lax.scan(lambda c, at: _newton(p, earth, c, at), start, given)[1]
     else:

@@ -189,6 +189,7 @@ def descent(
     leaves."""
     q, time, found = quaternion(turn(earth.north).T @ first), 0.0, []
     decay = decay * min(stand.dt.sum() / 5.0, 1.0)
+    bias = mean(stand.rate, stand.dt)
     for k, (dt, force, rate, field) in enumerate(zip(*stand, strict=True)):
         if along is not None and k > 0:
             q = quaternion(turn(earth.north).T @ along[k - 1])
@@ -197,7 +198,7 @@ def descent(
             f, b = unit(force), field / earth.strength
             slope = gradient(q, f, b, reference(earth, matrix(q).T @ b, how))
             down = slope / np.sqrt(slope @ slope + softness**2)  # none where there is no slope
-            turning = 0.5 * product(q, np.array([0.0, *rate]))
+            turning = 0.5 * product(q, np.array([0.0, *(rate - bias)]))
             beta = gain / (1 + (time / decay) ** 2)
             if adaptive:
                 d = abs(np.linalg.norm(b) - 1)
