@@ -59,9 +59,7 @@ def windows_of(path: Path) -> list[dict[str, Any]]:
         true = Rotation.from_quat(truth.quaternion[window][known], scalar_first=True).mean().as_matrix()
         signals = (imu.dt, imu.specific_force, imu.angular_rate, imu.magnetic_field)
         stand = Stand(*(jnp.asarray(x[window]) for x in signals))
-        size = float(np.median(np.linalg.norm(imu.magnetic_field[window], axis=1)))
-        up = imu.specific_force[window].mean(axis=0)
-        dip = float(np.median(np.asarray(attitude.dip(jnp.asarray(up)[None], stand.field))))
+        size, dip = _seen(imu.specific_force[window], imu.magnetic_field[window])
         earth = Earth(*(jnp.asarray(x) for x in (size, dip, np.pi / 2)))
         line: dict[str, Any] = {
             "trial": recording.name,
@@ -84,12 +82,14 @@ def place(recording: pedjax.Recording) -> dict[str, float]:
     assert imu.magnetic_field is not None
     rows = int(standing_rows(jnp.asarray(imu.angular_rate), jnp.asarray(imu.dt), imu.rate, 5.0))
     first = slice(0, max(rows, round(0.1 * imu.rate)))
-    field, up = imu.magnetic_field[first], imu.specific_force[first].mean(axis=0)
-    dip = attitude.dip(jnp.asarray(up)[None], jnp.asarray(field))
-    return {
-        "compass.strength": float(np.median(np.linalg.norm(field, axis=1))),
-        "compass.inclination": float(np.median(np.asarray(dip))),
-    }
+    size, dip = _seen(imu.specific_force[first], imu.magnetic_field[first])
+    return {"compass.strength": size, "compass.inclination": dip}
+
+
+def _seen(force: np.ndarray, field: np.ndarray) -> tuple[float, float]:
+    """Median strength in µT and dip in rad of a stretch of rest."""
+    dip = attitude.dip(jnp.asarray(force.mean(axis=0))[None], jnp.asarray(field))
+    return float(np.median(np.linalg.norm(field, axis=1))), float(np.median(np.asarray(dip)))
 
 
 def main() -> None:
