@@ -18,7 +18,14 @@ from pedjax.systems.wang import WANG
 
 RATE = 100.0
 STAND_S = 7.0
-NAMES = ("initial.align.gain", "initial.align.decay", "compass.noise.floor", "updates.zero_velocity")
+NAMES = {
+    "agda": ("initial.align.gain", "initial.align.decay", "compass.noise.floor", "updates.zero_velocity"),
+    "weighted": (
+        "initial.align.strength_spread", "initial.align.dip_spread", "compass.noise.floor",
+        "updates.zero_velocity",
+    ),
+}  # fmt: skip
+"""What is differentiated by: numbers of the start among them, or its gradient would cost nothing."""
 
 
 def signals(length: int) -> tuple[Signals, np.ndarray]:
@@ -60,7 +67,7 @@ def shares(length: int, method: str) -> dict[str, float]:
         ):
             params, data = packed(length, method, dtype)
             spread = jnp.geomspace(0.8, 1.25, width).astype(dtype)[:, None]
-            values = {path: parameters.get(params, path) * spread for path in NAMES}
+            values = {path: parameters.get(params, path) * spread for path in NAMES[method]}
 
             def whole(values: dict[str, jax.Array], data: Packed, params: Any = params) -> jax.Array:
                 q = parameters.with_leaves(params, values)

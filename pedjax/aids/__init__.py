@@ -11,10 +11,10 @@ from pedjax.aids.tilt import TILT
 from pedjax.aids.zero_velocity import ZERO_ANGULAR_RATE, ZERO_VELOCITY
 from pedjax.errors import InputError, suggest
 
-_OURS = (
-    ZERO_VELOCITY, ZERO_ANGULAR_RATE, TILT, INITIAL_ALIGNMENT, MAGNETIC_HEADING, START_CHECK, FIELD_RATE,
-    HEADING_HEURISTIC,
-)  # fmt: skip
+COMPASS = (INITIAL_ALIGNMENT, MAGNETIC_HEADING, START_CHECK, FIELD_RATE)
+"""What goes by the magnetic field, in the order in which they build on each other."""
+
+_OURS = (ZERO_VELOCITY, ZERO_ANGULAR_RATE, TILT, *COMPASS, HEADING_HEURISTIC)
 
 AIDS: dict[str, Aid] = {each.name: each for each in _OURS}
 
@@ -33,6 +33,7 @@ def find_aid(name: str) -> Aid:
 
 
 __all__ = [
-    "AIDS", "FIELD_RATE", "HEADING_HEURISTIC", "INITIAL_ALIGNMENT", "MAGNETIC_HEADING", "START_CHECK", "TILT",
-    "ZERO_ANGULAR_RATE", "ZERO_VELOCITY", "Aid", "Measured", "Seen", "aided", "find_aid", "register_aid",
+    "AIDS", "COMPASS", "FIELD_RATE", "HEADING_HEURISTIC", "INITIAL_ALIGNMENT", "MAGNETIC_HEADING",
+    "START_CHECK", "TILT", "ZERO_ANGULAR_RATE", "ZERO_VELOCITY", "Aid", "Measured", "Seen", "aided",
+    "find_aid", "register_aid",
 ]  # fmt: skip

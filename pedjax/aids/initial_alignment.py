@@ -52,7 +52,8 @@ def earth_of(p: Any, stand: Stand) -> Earth:
     """The undisturbed field: as given, or else the middle of what the stand shows."""
     like = jnp.zeros_like(stand.dt[0])
     if p.compass.reference == "given":
-        return Earth(p.compass.strength + like, p.compass.inclination + like, p.compass.north() + like)
+        found: Earth = p.compass.earth(like)
+        return found
     up = jnp.sum(stand.dt[:, None] * stand.force, axis=0)
     size = detectors.strength(jnp.moveaxis(stand.field, 1, 0))
     steep = attitude.dip(up[None], stand.field)

@@ -6,10 +6,9 @@ heuristic beside it.
 
 from __future__ import annotations
 
+from pedjax.aids import COMPASS
 from pedjax.aids.assembly import aided
 from pedjax.aids.heading_heuristic import HEADING_HEURISTIC
-from pedjax.aids.initial_alignment import INITIAL_ALIGNMENT, START_CHECK
-from pedjax.aids.magnetic_heading import FIELD_RATE, MAGNETIC_HEADING
 from pedjax.aids.tilt import TILT
 from pedjax.aids.zero_velocity import ZERO_ANGULAR_RATE, ZERO_VELOCITY
 from pedjax.filters.inertial import INERTIAL
@@ -31,16 +30,7 @@ VALUES = {
 AIEZ = aided(
     "aiez",
     INERTIAL,
-    (
-        ZERO_VELOCITY,
-        ZERO_ANGULAR_RATE,
-        TILT,
-        INITIAL_ALIGNMENT,
-        MAGNETIC_HEADING,
-        START_CHECK,
-        FIELD_RATE,
-        HEADING_HEURISTIC,
-    ),
+    (ZERO_VELOCITY, ZERO_ANGULAR_RATE, TILT, *COMPASS, HEADING_HEURISTIC),
     "IEZ with compass or heading heuristic",
     values=VALUES,
 )

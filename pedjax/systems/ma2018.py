@@ -15,10 +15,9 @@ steep field is two of heading; told as they are, the attitude levels a field bet
 
 from __future__ import annotations
 
+from pedjax.aids import COMPASS
 from pedjax.aids.assembly import aided
 from pedjax.aids.heading_heuristic import HEADING_HEURISTIC
-from pedjax.aids.initial_alignment import INITIAL_ALIGNMENT, START_CHECK
-from pedjax.aids.magnetic_heading import FIELD_RATE, MAGNETIC_HEADING
 from pedjax.aids.zero_velocity import ZERO_ANGULAR_RATE, ZERO_VELOCITY
 from pedjax.filters.inertial import INERTIAL
 
@@ -32,15 +31,7 @@ VALUES = {
 MA2018 = aided(
     "ma2018",
     INERTIAL,
-    (
-        ZERO_VELOCITY,
-        ZERO_ANGULAR_RATE,
-        INITIAL_ALIGNMENT,
-        MAGNETIC_HEADING,
-        START_CHECK,
-        FIELD_RATE,
-        HEADING_HEURISTIC,
-    ),
+    (ZERO_VELOCITY, ZERO_ANGULAR_RATE, *COMPASS, HEADING_HEURISTIC),
     "ZUPT-EKF with quasi-static magnetic heading",
     values=VALUES,
 )

@@ -10,10 +10,9 @@ The paper prints no noise, no gain and no window.
 
 from __future__ import annotations
 
+from pedjax.aids import COMPASS
 from pedjax.aids.assembly import aided
 from pedjax.aids.heading_heuristic import HEADING_HEURISTIC
-from pedjax.aids.initial_alignment import INITIAL_ALIGNMENT, START_CHECK
-from pedjax.aids.magnetic_heading import FIELD_RATE, MAGNETIC_HEADING
 from pedjax.aids.zero_velocity import ZERO_ANGULAR_RATE, ZERO_VELOCITY
 from pedjax.filters.inertial import INERTIAL
 
@@ -36,15 +35,7 @@ VALUES = {
 WANG = aided(
     "wang",
     INERTIAL,
-    (
-        ZERO_VELOCITY,
-        ZERO_ANGULAR_RATE,
-        INITIAL_ALIGNMENT,
-        MAGNETIC_HEADING,
-        START_CHECK,
-        FIELD_RATE,
-        HEADING_HEURISTIC,
-    ),
+    (ZERO_VELOCITY, ZERO_ANGULAR_RATE, *COMPASS, HEADING_HEURISTIC),
     "ZUPT-EKF with aligned start and adaptive magnetic heading",
     values=VALUES,
 )
