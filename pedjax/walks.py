@@ -216,7 +216,7 @@ def check_walk(system: System, params: Any, walk: Walk) -> None:
                 "choose another --sensor, or another --system (iez)"
             )
         lost = np.isnan(imu.magnetic_field).any(axis=1)
-        if lost.any():
+        if lost.all() or (lost.any() and not need.gaps):
             begins = imu.time[lost.argmax()] - imu.time[0]
             raise InputError(
                 f"{walk.name}: the magnetometer has no readings for {imu.dt[lost].sum():.1f} s, the "

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pedjax.aids.aid import Aid, Measured, Seen
 from pedjax.aids.assembly import aided
+from pedjax.aids.bounded_velocity import BOUNDED_VELOCITY
+from pedjax.aids.field_reference import FIELD_REFERENCE
+from pedjax.aids.gravity_update import GRAVITY_UPDATE
 from pedjax.aids.heading_heuristic import HEADING_HEURISTIC
 from pedjax.aids.initial_alignment import INITIAL_ALIGNMENT, START_CHECK
 from pedjax.aids.magnetic_heading import FIELD_RATE, MAGNETIC_HEADING
@@ -14,7 +17,10 @@ from pedjax.errors import InputError, suggest
 COMPASS = (INITIAL_ALIGNMENT, MAGNETIC_HEADING, START_CHECK, FIELD_RATE)
 """What goes by the magnetic field, in the order in which they build on each other."""
 
-_OURS = (ZERO_VELOCITY, ZERO_ANGULAR_RATE, TILT, *COMPASS, HEADING_HEURISTIC)
+_OURS = (
+    ZERO_VELOCITY, ZERO_ANGULAR_RATE, TILT, *COMPASS, HEADING_HEURISTIC,
+    GRAVITY_UPDATE, BOUNDED_VELOCITY, FIELD_REFERENCE,
+)  # fmt: skip
 
 AIDS: dict[str, Aid] = {each.name: each for each in _OURS}
 
@@ -33,7 +39,7 @@ def find_aid(name: str) -> Aid:
 
 
 __all__ = [
-    "AIDS", "COMPASS", "FIELD_RATE", "HEADING_HEURISTIC", "INITIAL_ALIGNMENT", "MAGNETIC_HEADING",
+    "AIDS", "BOUNDED_VELOCITY", "COMPASS", "FIELD_RATE", "FIELD_REFERENCE", "GRAVITY_UPDATE", "HEADING_HEURISTIC", "INITIAL_ALIGNMENT", "MAGNETIC_HEADING",
     "START_CHECK", "TILT", "ZERO_ANGULAR_RATE", "ZERO_VELOCITY", "Aid", "Measured", "Seen", "aided",
     "find_aid", "register_aid",
 ]  # fmt: skip

@@ -22,7 +22,8 @@ from pedjax.system import Gated, Signals
 class Seen(NamedTuple):
     """What an aid sees at a sample: the `estimate` and its covariance `P` as the aids before it left them,
     the `sample` (with lane axes), what its own `prepare` made of it (`own`), and of the aids before it their
-    `gates` by name and what they had to say (`more`)."""
+    `gates` by name and what they had to say (`more`). `in_filter` gives its rows as the filter takes them, for
+    an aid that weighs its innovation against P itself."""
 
     estimate: Any
     P: Covariance
@@ -30,13 +31,15 @@ class Seen(NamedTuple):
     own: Any
     gates: Mapping[str, Gated]
     more: Mapping[str, Array]
+    in_filter: Callable[[Rows], Rows] = lambda rows: rows
 
 
 class Measured(NamedTuple):
     """What an aid makes of a sample: its next `state`, `rows` to be updated with (None: nothing) and how much
     of their information counts, `weight (*L)` in [0, 1]; its gate, where it has one; what else is to be
-    told, to later aids and to the user; and where it does not measure but decides, the covariance and the
-    correction by state that it `moved` the filter by, which is done before the rows count."""
+    told, to later aids and to the user; where it does not measure but decides, the covariance and the
+    correction by state that it `moved` the filter by, which is done before the rows count; and a `status`
+    where it finds the run wanting."""
 
     state: Any
     rows: Rows | None
@@ -44,6 +47,7 @@ class Measured(NamedTuple):
     gated: Gated | None = None
     more: dict[str, Array] = {}  # noqa: RUF012
     moved: tuple[Covariance, dict[str, Array]] | None = None
+    status: Array | None = None
 
 
 def _no_state(
@@ -67,11 +71,12 @@ class Aid(NamedTuple):
 
     - `groups`: name in the tree to class of its parameters. Two aids may share a group, of one class.
     - `gate`: the name of its gate, or None. `reads`: gates that aids before it must have.
-    - `field`: whether it needs a magnetometer.
+    - `field`: whether it needs a magnetometer; `gaps`: whether it goes on where that has no readings (NaN).
     - `is_on(p)`: by settings; an aid that is off costs nothing.
     - `prepare(p, signals, dt, rate_hz, length)`: what it needs of each sample beside the signals, time first.
     - `start(p, site, opening, estimate, P) -> state, estimate, P`: its first state; it may mend the first
-      estimate.
+      estimate, and add states of its own to P (`covariance.extended`), which it then moves by itself in `step`
+      and corrects in `after`.
     - `step(p, site, state, seen) -> Measured`.
     - `after(p, state, by, correction, estimate) -> state`: called after each correction of the estimate at
       this sample, whichever aid it was `by`, in the order of aids: for states that are kept in terms of the
@@ -87,6 +92,7 @@ class Aid(NamedTuple):
     gate: str | None = None
     reads: tuple[str, ...] = ()
     field: bool = False
+    gaps: bool = False
     is_on: Callable[[Any], bool] = lambda p: True
     prepare: Callable[[Any, Signals, Array, float, ArrayLike | None], Any] = _nothing_own
     start: Callable[[Any, Any, Opening, Any, Covariance], tuple[Any, Any, Covariance]] = _no_state

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -62,6 +62,7 @@ def aided(
     _groups_of(name, aids)
     own_values = tuple((values or {}).items())
     magnetic = any(aid.field for aid in aids)
+    gaps = all(aid.gaps for aid in aids if aid.field)
 
     def prepare(
         p: Any, sensors: Mapping[str, Signals], dt: Array, rate_hz: float, length: ArrayLike | None = None
@@ -95,35 +96,43 @@ def aided(
                 states[aid.name], estimate, P = aid.start(p, site, opening, estimate, P)
         return AidedState(estimate, P, states)
 
+    def tell(p: Any, states: dict[str, Any], by: str, correction: dict[str, Array], estimate: Any) -> Any:
+        """The corrected estimate, of which the aids' states, changed in place, hear."""
+        estimate = filter.correct(estimate, correction)
+        for other in aids:
+            if other.name in states:
+                states[other.name] = other.after(p, states[other.name], by, correction, estimate)
+        return estimate
+
     def step(p: Any, site: Any, state: AidedState, sample: AidedSample) -> tuple[AidedState, Output]:
         sensor = sample.sensor.in_lanes(state.estimate.position.ndim - 1)
         estimate, P = filter.predict(p, state.estimate, state.P, sensor)
         states = dict(state.aids)
         gates: dict[str, Gated] = {}
         more: dict[str, Array] = {}
+        faults = [] if filter.status is None else [filter.status(estimate)]
         for aid in (aid for aid in aids if aid.is_on(p)):
-            seen = Seen(estimate, P, sensor, sample.own[aid.name], gates, more)
-            states[aid.name], rows, weight, gated, said, moved = aid.step(p, site, states[aid.name], seen)
+            own = sample.own[aid.name]
+            seen = Seen(estimate, P, sensor, own, gates, more, partial(filter.rows, estimate))
+            made = aid.step(p, site, states[aid.name], seen)
+            states[aid.name], rows, weight, gated, said, moved, found = made
+            if found is not None:
+                faults.append(found)
             if aid.gate is not None:
                 assert gated is not None
                 gates[aid.gate] = gated
             more |= said
-            corrections = []
             if moved is not None:
                 P, correction = moved
-                corrections.append(correction)
+                estimate = tell(p, states, aid.name, correction, estimate)
             if rows is not None:
                 assert weight is not None
-                P, correction = kalman.update(P, rows, weight)
-                corrections.append(correction)
-            for correction in corrections:
-                estimate = filter.correct(estimate, correction)
-                for other in aids:
-                    if other.name in states:
-                        told = states[other.name], aid.name, correction, estimate
-                        states[other.name] = other.after(p, *told)
+                P, correction = kalman.update(P, filter.rows(estimate, rows), weight)
+                estimate = tell(p, states, aid.name, correction, estimate)
         sound = jnp.isfinite(jnp.sum(estimate.position, 0)) & covariance.is_positive(P)
         status = jnp.where(sound, Status.HEALTHY, Status.DIVERGED).astype(jnp.int32)
+        for fault in faults:
+            status = jnp.where(status == 0, fault, status).astype(jnp.int32)
         sigma = {field: covariance.sigma(P, letter) for field, letter in filter.states}
         nothing = jnp.zeros_like(estimate.position[0])
         for aid in aids:  # a gate that is off is shut
@@ -138,7 +147,7 @@ def aided(
     return System(
         name=name,
         title=title or f"{filter.name} filter with {', '.join(aid.name.replace('_', ' ') for aid in aids)}",
-        needs=(Need(role, magnetic),),
+        needs=(Need(role, magnetic, magnetic and gaps),),
         gates=tuple(aid.gate for aid in aids if aid.gate is not None),
         defaults=lambda: _parameters(name, filter.parameters, _groups_of(name, aids), own_values)(),
         prepare=prepare,

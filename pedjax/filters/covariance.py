@@ -71,6 +71,18 @@ def diagonal(deviations: Mapping[str, Array]) -> Covariance:
     return P
 
 
+def extended(P: Covariance, deviations: Mapping[str, Array]) -> Covariance:
+    """With further states, independent of all others, of standard deviations `(3, *L)` by letter."""
+    grown = dict(P)
+    for new, own in diagonal(deviations).items():
+        grown[new] = own
+    for a in states_of(P):
+        like = jnp.zeros_like(P[a + a])
+        for b in deviations:
+            grown[a + b] = like + jnp.zeros_like(deviations[b][:, None])
+    return grown
+
+
 def dense(P: Covariance, states: str = STATES) -> Array:
     """The full `(3n, 3n, *L)` matrix of the n states in that order."""
     return jnp.concatenate(
@@ -127,7 +139,9 @@ def inertial_noise(noise: ProcessNoise, dt: Array, like: Array) -> dict[str, Arr
 
 
 def predict(P: Covariance, F: Transition, Q: Mapping[str, Array]) -> Covariance:
-    """F P Fᵀ + Q with the zero and identity blocks of F left out; `Q[state] (3, 3, *L)`."""
+    """F P Fᵀ + Q with the zero and identity blocks of F left out; `Q[state] (3, 3, *L)`. A state of which F
+    does not speak stays as it is."""
+    F = {a: F.get(a, {a: None}) for a in states_of(P)}
     keep = {}
     for a, of in F.items():
         factor = of.get(a)

@@ -10,6 +10,7 @@ from jax import Array
 
 from pedjax.detectors.rest import Rest
 from pedjax.filters.covariance import Covariance
+from pedjax.filters.kalman import Rows
 from pedjax.lanes import align
 
 
@@ -51,6 +52,10 @@ def still_mean(opening: Opening, values: Array) -> Array:
     return jnp.sum(jnp.where(counts, values, 0.0), axis=0) / jnp.sum(opening.still, axis=0)
 
 
+def _as_they_are(estimate: Any, rows: Rows) -> Rows:
+    return rows
+
+
 class Filter(NamedTuple):
     """An estimator of motion, on which aids build.
 
@@ -58,7 +63,9 @@ class Filter(NamedTuple):
     walk `start(p, opening) -> estimate, P` levels by, `predict(p, estimate, P, sample)` moves both on by a
     sample, `correct(estimate, correction)` adds a correction by state, and `states` names the field of the
     estimate and the letter of the covariance that belong together. `rest_s(p)` is how long a standing start
-    the opening's `rest` is at most; 0: the filter asks for none.
+    the opening's `rest` is at most; 0: the filter asks for none. Aids speak of the attitude's error as a small
+    rotation t in navigation axes; a filter that has it otherwise says by `rows(estimate, rows)` what these are
+    to it. `status(estimate)` tells where the estimate is not to be trusted, beside not being a number.
     """
 
     name: str
@@ -69,3 +76,5 @@ class Filter(NamedTuple):
     correct: Callable[[Any, dict[str, Array]], Any]
     states: tuple[tuple[str, str], ...]
     rest_s: Callable[[Any], float] = lambda p: 0.0
+    rows: Callable[[Any, Rows], Rows] = _as_they_are
+    status: Callable[[Any], Array] | None = None

@@ -12,11 +12,11 @@ from jax import Array
 
 from pedjax import rotations
 from pedjax.calibration.attitude import METHODS, Align
-from pedjax.detectors.rest import Rest
 from pedjax.errors import InputError
 from pedjax.filters import covariance, measurements, strapdown
 from pedjax.filters.covariance import Covariance, ProcessNoise
 from pedjax.filters.filter import Filter, Opening, Sample, still_mean
+from pedjax.filters.first_bias import BIASES, Prior, first_bias
 from pedjax.filters.strapdown import Navigation
 from pedjax.lanes import align, lane_shape
 from pedjax.parameters import group, leaf, parameters, setting
@@ -26,9 +26,6 @@ _KIT = "kit choice"
 _SHEET = "kit choice: initial bias error of a calibrated unit (OpenShoe, uncalibrated: 0.3 m/s^2, 0.3 deg/s)"
 _DEGREE = 0.017453292519943295
 _PER_ROOT_HZ = 200.0**-0.5  # OpenShoe's per-sample deviations, at the 200 Hz of PyShoe's published runs
-
-BIASES = ("zero", "rest")
-"""What the first bias of the gyroscope may be."""
 
 
 @parameters
@@ -121,9 +118,10 @@ class Initial:
     align: Align = group(Align, when={"alignment": METHODS[1:]})
     bias: str = setting(
         "zero", choices=BIASES, source=_KIT,
-        meaning="The gyroscope's first bias: zero, or as the rest with which a recording begins measures it, "
+        meaning="The gyroscope's first bias: zero, as given, or that and the rest with which a recording begins, "
         "which the start then reads ahead.",
     )  # fmt: skip
+    prior: Prior = group(Prior, when={"bias": ("given", "rest")})
     rest_s: float = setting(
         10.0, source=_KIT,
         meaning="How much of the start is looked at for rest, if it gives the first bias; longer, a long "
@@ -185,36 +183,16 @@ def start(p: InertialParameters, opening: Opening) -> tuple[Navigation, Covarian
     tilt_and_heading = jnp.stack(
         [x + like for x in (p.initial.attitude, p.initial.attitude, p.initial.heading_sigma)]
     )
-    bias_sigma = p.initial.gyroscope_bias
-    if opening.rest is not None:
-        bias, bias_sigma = _measured_bias(p.initial, opening.rest, ones)
-        nav = nav._replace(gyroscope_bias=bias)
+    bias, bias_sigma = first_bias(p.initial, opening.rest, ones)
+    nav = nav._replace(gyroscope_bias=bias)
     deviations = {
         "t": tilt_and_heading,
-        "g": bias_sigma * ones,
+        "g": bias_sigma,
         "p": p.initial.position * ones,
         "v": p.initial.velocity * ones,
         "a": p.initial.accelerometer_bias * ones,
     }
     return nav, covariance.diagonal(deviations)
-
-
-def _measured_bias(p: Initial, rest: Rest, ones: Array) -> tuple[Array, Array]:
-    """The gyroscope's first bias `(3, *L)` and its standard deviation `(*L)`, rad/s, as a standing start
-    measures them.
-
-    The n windows of rest measure the bias by their mean rate, each with the variance s^2 = sway^2 + spread,
-    and before them it is zero with the variance P0 = gyroscope_bias^2. About each axis
-
-        P = 1 / (1/P0 + n/s^2),    bias = P n/s^2 (mean rate),
-
-    written here without 1/P0; with n = 0 they are P0 and zero.
-    """
-    lanes = ones.ndim - 1
-    windows, spread = align(rest.windows, 0, lanes), align(rest.spread, 0, lanes)
-    prior, own = windows * p.gyroscope_bias**2, p.sway**2 + spread  # n P0 and s^2
-    bias = prior / (prior + own) * align(rest.rate, 1, lanes)
-    return bias * ones, p.gyroscope_bias * jnp.sqrt(own / (prior + own))
 
 
 def predict(

@@ -101,11 +101,16 @@ def field_rate(
 
 
 def correct(nav: Navigation, correction: dict[str, Array]) -> Navigation:
-    """truth = estimate ⊞ error: C = exp([t×]) Ĉ, all else added."""
+    """truth = estimate ⊞ error: C = exp([t×]) Ĉ, all else added; what is not corrected stays."""
+
+    def added(x: Array, letter: str) -> Array:
+        return x + correction[letter] if letter in correction else x
+
+    C = nav.attitude
     return Navigation(
-        attitude=matmul(rotations.exp(correction["t"]), nav.attitude),
-        gyroscope_bias=nav.gyroscope_bias + correction["g"],
-        position=nav.position + correction["p"],
-        velocity=nav.velocity + correction["v"],
-        accelerometer_bias=nav.accelerometer_bias + correction["a"],
+        attitude=matmul(rotations.exp(correction["t"]), C) if "t" in correction else C,
+        gyroscope_bias=added(nav.gyroscope_bias, "g"),
+        position=added(nav.position, "p"),
+        velocity=added(nav.velocity, "v"),
+        accelerometer_bias=added(nav.accelerometer_bias, "a"),
     )

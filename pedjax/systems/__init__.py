@@ -7,18 +7,23 @@ from collections.abc import Sequence
 from pedjax.aids import find_aid
 from pedjax.aids.assembly import aided
 from pedjax.errors import InputError, suggest
+from pedjax.filters.euler import EULER
 from pedjax.filters.inertial import INERTIAL
+from pedjax.filters.orientation import BOUNDED, ORIENTATION
 from pedjax.system import System
 from pedjax.systems.aiez import AIEZ
 from pedjax.systems.iez import IEZ
 from pedjax.systems.ma2018 import MA2018
+from pedjax.systems.munoz_diaz import MUNOZ_DIAZ, MUNOZ_DIAZ_TWIN, POCKET
 from pedjax.systems.wang import WANG
 
-SYSTEMS: dict[str, System] = {each.name: each for each in (IEZ, MA2018, AIEZ, WANG)}
+SYSTEMS: dict[str, System] = {
+    each.name: each for each in (IEZ, MA2018, AIEZ, WANG, MUNOZ_DIAZ, MUNOZ_DIAZ_TWIN, POCKET)
+}
 
 _OURS = frozenset(SYSTEMS)
 
-FILTERS = {INERTIAL.name: INERTIAL}
+FILTERS = {each.name: each for each in (INERTIAL, EULER, ORIENTATION, BOUNDED)}
 """What aids can be put on, by name."""
 
 
