@@ -64,6 +64,10 @@ def _unmoved(p: Any, state: Any, by: str, correction: dict[str, Array], estimate
     return state
 
 
+def _nothing_told(p: Any, state: Any, P: Covariance) -> dict[str, Array]:
+    return {}
+
+
 class Aid(NamedTuple):
     """An aid by its `name`.
 
@@ -81,6 +85,7 @@ class Aid(NamedTuple):
     - `after(p, state, by, correction, estimate) -> state`: called after each correction of the estimate at
       this sample, whichever aid it was `by`, in the order of aids: for states that are kept in terms of the
       estimate, as fields in navigation axes are.
+    - `told(p, state, P)`: what is to be told to the user once all aids of the sample have been heard.
     - `opening_s(p)`: how many seconds of the opening it wants to see; `stand_s(p)`: and how many of the rest
       with which the recording begins, marked in the opening's `stands`; `shortest(p)`: the least a recording
       must last in s, and the path of the setting that asks for it.
@@ -97,6 +102,7 @@ class Aid(NamedTuple):
     prepare: Callable[[Any, Signals, Array, float, ArrayLike | None], Any] = _nothing_own
     start: Callable[[Any, Any, Opening, Any, Covariance], tuple[Any, Any, Covariance]] = _no_state
     after: Callable[[Any, Any, str, dict[str, Array], Any], Any] = _unmoved
+    told: Callable[[Any, Any, Covariance], dict[str, Array]] = _nothing_told
     opening_s: Callable[[Any], float] = lambda p: 0.0
     stand_s: Callable[[Any], float] = lambda p: 0.0
     shortest: Callable[[Any], tuple[float, str]] = lambda p: (0.0, "")

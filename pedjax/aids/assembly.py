@@ -129,6 +129,9 @@ def aided(
                 assert weight is not None
                 P, correction = kalman.update(P, filter.rows(estimate, rows), weight)
                 estimate = tell(p, states, aid.name, correction, estimate)
+        for aid in aids:
+            if aid.name in states:
+                more |= aid.told(p, states[aid.name], P)
         sound = jnp.isfinite(jnp.sum(estimate.position, 0)) & covariance.is_positive(P)
         status = jnp.where(sound, Status.HEALTHY, Status.DIVERGED).astype(jnp.int32)
         for fault in faults:

@@ -165,8 +165,9 @@ def _anchored(p: Any, state: State, seen: Seen, look: _Look, gated: Gated) -> Me
     begins = is_open & (state.held < 0.5)
     anchor = jnp.where(begins, matvec(seen.estimate.attitude, look.reading), state.anchor)
     rows = field_turn.anchored(look.reading, anchor, seen.estimate.attitude, look.sigma)
-    new = state._replace(anchor=anchor, held=jnp.where(is_open, 1.0, 0.0).astype(anchor.dtype))
-    return Measured(new, rows, gated.weight * jnp.where(begins, 0.0, state.held))
+    held = jnp.where(seen.sample.dt > 0, jnp.where(is_open, 1.0, 0.0), state.held)
+    new = state._replace(anchor=anchor, held=held)
+    return Measured(new, rows, gated.weight * jnp.where(is_open & ~begins, state.held, 0.0))
 
 
 def _of_state(p: Any, state: State, seen: Seen, look: _Look, gated: Gated) -> Measured:
@@ -183,15 +184,12 @@ def _of_state(p: Any, state: State, seen: Seen, look: _Look, gated: Gated) -> Me
     if q.detector == "odd":
         oddness, weight, ratio = odd_field.judged(
             q.odd, oddness, P, seen.in_filter(rows), look.reading - fields.iron, fields.field, attitude,
-            seen.sample.dt, look.known,
+            seen.sample.dt, look.known * fields.aligned,
         )  # fmt: skip
         gated = Gated(weight * look.known, jnp.where(look.known > 0, ratio, 1.0))
     gated = gated._replace(weight=gated.weight * fields.aligned)
-    more = {"reference_field": fields.field, "hard_iron": fields.iron}
-    if q.state.iron:
-        more["hard_iron_sigma"] = covariance.sigma(P, "h")
     new = state._replace(fields=fields, oddness=oddness)
-    return Measured(new, rows, gated.weight, gated, more, (P, correction))
+    return Measured(new, rows, gated.weight, gated, moved=(P, correction))
 
 
 def _after(p: Any, state: State, by: str, correction: dict[str, Array], estimate: Any) -> State:
@@ -201,6 +199,16 @@ def _after(p: Any, state: State, by: str, correction: dict[str, Array], estimate
     if "n" in correction:
         error = error + correction["n"]
     return state._replace(fields=fields, error=error)
+
+
+def _told(p: Any, state: State, P: Covariance) -> dict[str, Array]:
+    fields = state.fields
+    if not isinstance(fields, Fields):
+        return {}
+    found = {"reference_field": fields.field, "reference_field_sigma": covariance.sigma(P, "m")}
+    if p.reference.state.iron:
+        found |= {"hard_iron": fields.iron, "hard_iron_sigma": covariance.sigma(P, "h")}
+    return found
 
 
 FIELD_REFERENCE = Aid(
@@ -214,5 +222,6 @@ FIELD_REFERENCE = Aid(
     start=_start,
     step=_step,
     after=_after,
+    told=_told,
 )
 """A field that stays, as a reference."""

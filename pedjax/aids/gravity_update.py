@@ -72,7 +72,8 @@ def _step(p: Any, site: Any, state: Any, seen: Seen) -> Measured:
         rows = _by_angles(C, force, q.sigma)
     else:
         rows = _by_vector(C, force, p.gravity, q.sigma)
-    return Measured(state, rows, weight * (seen.sample.dt > 0), Gated(weight, ratio))
+    weight = weight * (seen.sample.dt > 0)
+    return Measured(state, rows, weight, Gated(weight, ratio))
 
 
 GRAVITY_UPDATE = Aid(

@@ -65,15 +65,18 @@ def chained(
     """The update with the error of the last reading as the state `n`, whose estimate is `error (3, *L)` µT.
 
     The new reading's error `o` joins, the update is made, and `o` becomes `n`: the covariance, the correction
-    of all other states, and the estimate of the new reading's error.
+    of all other states, and the estimate of the new reading's error. A `weight` below 1 is further noise, by
+    which σ² becomes σ²/weight for this row: on the gyroscope's small part alone it would hold off nothing.
     """
     last = before - error
     found, by_bias, back = turned(last, rate, bias, dt)
     sigma = densities[0] / jnp.sqrt(dt) + 0 * reading
-    noise = noise_of_rate(last, dt, densities[1]) + 1e-12 * eye(3, dt)
+    doubt = (1 / jnp.maximum(weight, 1e-9) - 1) * densities[0] ** 2 / dt
+    noise = noise_of_rate(last, dt, densities[1]) + (doubt + 1e-12) * eye(3, dt)
     H: dict[str, Array | None] = {"g": by_bias, "n": -back, "o": None}
+    counts = jnp.where(weight > 0, 1.0, 0.0).astype(dt.dtype)
     P, correction = kalman.update(
-        covariance.extended(P, {"o": sigma}), Rows(reading - found, noise, H), weight
+        covariance.extended(P, {"o": sigma}), Rows(reading - found, noise, H), counts
     )
     new = correction.pop("o")
     correction.pop("n")

@@ -314,15 +314,18 @@ class Filter:
         self.look(differential_rows(now, before, rate, self.b, dt, noises), w, slice(3, 6))
 
     def averaged(self, now: Array, before: Array, rate: Array, dt: float, w: float) -> None:
-        """The noise of the new reading joins, and that of the old one goes."""
+        """The noise of the new reading joins, and that of the old one goes. A reading of weight w has noise of its
+        own, as of R / w, beside that: w on the gyroscope's small part alone would protect from nothing."""
         old, new = self.at["n"], slice(9, 12)
         self.P = grown(self.P, [self.magnetic.noise / np.sqrt(dt)])
         newest = np.zeros(3)
         if w > 0:
             rows = averaged_rows(now, before, self.own["n"], rate, self.b, dt, self.settings.gyroscope)
+            doubt = (1 / max(w, 1e-9) - 1) * self.magnetic.noise**2 / dt * ONE
+            rows = rows._replace(R=rows.R + doubt)
             H = np.zeros((3, 12))
             H[:, 3:6], H[:, old], H[:, new] = rows.H[:, :3], rows.H[:, 3:6], rows.H[:, 6:]
-            x, self.P = update(self.P, Rows(rows.z, H, rows.R), w)
+            x, self.P = update(self.P, Rows(rows.z, H, rows.R), 1.0)
             self.correct(x[:9])
             newest = x[new]
         left = [*range(6), *range(9, 12)]
@@ -447,7 +450,7 @@ class PocketSettings(NamedTuple):
     latch: bool = False
     near: float = 8.0  # uT
     yaw_sigma: float = 0.2  # rad
-    memory_waits: bool = False  # whether the gate's memory begins no sooner than the latch
+    memory_waits: bool = False  # whether envelope and memory begin no sooner than the latch
 
 
 class PocketStart(NamedTuple):
@@ -548,7 +551,8 @@ def pocket_corrected(x: Array, C: Array, v: Array, b: Array, h: Array, field: Ar
 
 
 def pocket(walk: Walk, s: PocketSettings, start: PocketStart) -> PocketRun:
-    """Each sample: the step, the velocity, the field. A sample without a field leaves the gate as it is."""
+    """Each sample: the step, the velocity, the field. Without a field the gate's memory fades, and its
+    envelopes stay."""
     C, v, b, h, field, P = (np.array(x, float) for x in start)
     envelope, memory, latched = Envelope(s.envelope), 0.0, not s.latch
     H_v = np.zeros((3, 15))
@@ -568,13 +572,15 @@ def pocket(walk: Walk, s: PocketSettings, start: PocketStart) -> PocketRun:
                 latched = True
                 C, P = mended(C, P, level, field, s.yaw_sigma)
             rows = pocket_rows(C, h, field, m, s.noise, dt)
-            spread = envelope.see(float(np.linalg.norm(m - h)), dt)
-            L, nis = oddity(P, rows, m - h, level, field, spread, s)
             if latched or not s.memory_waits:
+                spread = envelope.see(float(np.linalg.norm(m - h)), dt)
+                L, nis = oddity(P, rows, m - h, level, field, spread, s)
                 memory = max(L, memory * np.exp(-dt / s.hold))
             if latched:
                 weight = 1 / (1 + memory)
                 x, P = update(P, rows, weight)
                 C, v, b, h, field = pocket_corrected(x, C, v, b, h, field)
+        else:
+            memory *= np.exp(-dt / s.hold)
         found.append((C, v, b, h, field, weight, L, nis, memory, latched))
     return PocketRun._make([*(np.array(x) for x in zip(*found, strict=True)), P])
