@@ -43,7 +43,8 @@ GYRO_NOISE = np.radians(0.1)  # of a sample, Table 2
 BIAS = np.radians([-0.1, 0.1, -0.1])  # Table 2
 FIELD_NOISE = 0.015  # µT of a sample, Table 2
 FORCE_NOISE, FORCE_BIAS = 0.02, 0.03
-"""m/s² of a sample, and the standard deviation of each axis' bias: a MEMS of that class (not in the paper)."""
+"""m/s² of a sample, and the standard deviation of each axis' bias: as the preset xsens_mtw, for
+what the paper does not print."""
 TRUTH_EVERY = 5  # samples: truth at 20 Hz
 
 LINES = (-17.0, -13.0, 0.0, 12.0, -9.0, 9.0)
@@ -131,7 +132,9 @@ def mtw(seed: int, iron: Iron = "none", length: float = MTW_LENGTH, rounds: int 
     return _measured(f"mtw-{iron}:{seed}", seed, exact, bias, field, np.full(count, -1), iron)
 
 
-def wandering(rng: np.random.Generator, count: int, std: float, time: float, rate: float = RATE) -> np.ndarray:
+def wandering(
+    rng: np.random.Generator, count: int, std: float, time: float, rate: float = RATE
+) -> np.ndarray:
     """A stationary first-order Gauss-Markov process of three axes, `(count, 3)`."""
     c = np.exp(-1 / (rate * time))
     kicks = std * rng.normal(size=(count, 3))
@@ -234,7 +237,8 @@ def _measured(
     some = slice(None, None, TRUTH_EVERY)
     turned = Rotation.from_matrix(exact.attitude[some]).as_quat(scalar_first=True)
     truth = Truth(exact.time[some], exact.position[some] - exact.position[0], turned, "pocket")
-    sensor = Sensor(*(Stream(exact.time, x) for x in (force, rate, seen)), up="+z")
+    streams = [Stream(exact.time, x) for x in (force, rate, seen)]
+    sensor = Sensor(streams[0], streams[1], streams[2], up="+z")
     recording = Recording(name, {"pocket": sensor}, truth=truth, format="simulated")
     return Emulated(recording, exact, bias, field, nearest)
 
