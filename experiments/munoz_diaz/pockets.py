@@ -6,7 +6,8 @@ DATA is a folder with `pocket_mocap/` (default: the environment's PEDJAX_DATA). 
 a room of 5 by 5 m: two subjects, front and back pocket, clean and with magnets held near the phone. Told are
 how the truth was brought to the phone, the gyroscope's bias, strides and distance, and the heading errors of
 VQF (the package `vqf`) for several starts. Only VQF's clip of the bias is not as it comes: the bias about
-the vertical is 3.5 to 4.5 deg/s here, and it clips at 2.
+the phone's z axis is 3.6 to 4.4 deg/s here, and it clips at 2. Orders of a few tenths of a degree are chance:
+starts half a second apart differ by as much.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ FOLDER = "pocket_mocap"
 STARTS = (0.0, 5.0, 10.0, 15.0, 20.0)
 PRIOR_SIGMA = np.radians(0.5)
 _UP = np.array([0.0, 0.0, 1.0])
+_JUMP = 0.4  # rad in one 60th of a second, five times what the gyroscopes ever saw
 _MOST_LAG = 0.06  # s to either side; within, the rates agree the better the nearer the lag
 
 
@@ -90,7 +92,7 @@ def _read(file: Path) -> Trial:
     )
     offset = np.median(offsets(raw, calibrated), axis=0)
     sensor = Sensor(accelerometer, gyroscope, Stream(raw.time, raw.values - offset))
-    time, quaternion = table["truth_time"], table["truth_quaternion_wxyz"]
+    time, quaternion = table["truth_time"], without_flips(table["truth_quaternion_wxyz"])
     hand, lag = alignment(gyroscope, time, quaternion)
     truth = Truth(time + lag, 1e-3 * table["truth_position_mm"], turned(quaternion, hand), "pocket")
     name = f"{subject}_{kind}_{place}"
@@ -102,6 +104,21 @@ def offsets(raw: Stream, calibrated: Stream) -> np.ndarray:
     """Raw less calibrated `(K, 3)` at the times of the calibrated samples that lie within the raw ones."""
     inside = (calibrated.time >= raw.time[0]) & (calibrated.time <= raw.time[-1])
     return interpolate(raw, calibrated.time[inside]) - calibrated.values[inside]
+
+
+def without_flips(quaternion: np.ndarray) -> np.ndarray:
+    """Attitudes with NaN from one jump to the next, where the cameras took markers for one another.
+
+    A jump is more than `_JUMP` between neighbours. Only `a_disturbed_front` has them: it flips by 60 degrees
+    for 18 samples (24.4 to 24.7 s), which alone would add 3 degrees to an RMS of two minutes.
+    """
+    known = np.flatnonzero(np.isfinite(quaternion).all(axis=1))
+    attitude = Rotation.from_quat(quaternion[known], scalar_first=True)
+    jumps = (attitude[:-1].inv() * attitude[1:]).magnitude() > _JUMP
+    jumps &= np.diff(known) == 1
+    out = quaternion.copy()
+    out[known[1:][np.cumsum(jumps) % 2 == 1]] = np.nan
+    return out
 
 
 def turned(quaternion: np.ndarray, hand: np.ndarray) -> np.ndarray:
@@ -121,7 +138,8 @@ def rates(
     known = np.isfinite(quaternion).all(axis=1)
     first = np.flatnonzero(known[:-1] & known[1:])
     step = np.diff(time)[first, None]
-    angle = Stream(gyroscope.time, cumulative_trapezoid(gyroscope.values, gyroscope.time, axis=0, initial=0.0))
+    turned_by = cumulative_trapezoid(gyroscope.values, gyroscope.time, axis=0, initial=0.0)
+    angle = Stream(gyroscope.time, turned_by)
     measured = (interpolate(angle, time[first + 1]) - interpolate(angle, time[first])) / step
     before, after = (Rotation.from_quat(quaternion[rows], scalar_first=True) for rows in (first, first + 1))
     return first, measured, (before.inv() * after).as_rotvec() / step
@@ -169,15 +187,23 @@ def residual(trial: Trial, hand: np.ndarray | None = None, lag_s: float = 0.0) -
     return float(np.sqrt(np.mean(np.sum((away - away.mean(axis=0)) ** 2, axis=1))))
 
 
+def begin(trial: Trial) -> float:
+    """The stamp from which on all three instruments run (0.4 to 0.6 s)."""
+    sensor = trial.sensor
+    assert sensor.magnetometer is not None
+    return max(float(s.time[0]) for s in (sensor.accelerometer, sensor.gyroscope, sensor.magnetometer))
+
+
 def cropped(trial: Trial, start_s: float) -> pedjax.Recording:
-    """The walk from that second of its clock on (the clock begins 0.2 to 0.5 s before the sensors)."""
+    """The walk without its first seconds, counted from when all instruments run; stamps stay as they are."""
+    first = begin(trial) + start_s
 
     def late(stream: Stream) -> Stream:
-        return Stream(stream.time[stream.time >= start_s], stream.values[stream.time >= start_s])
+        return Stream(stream.time[stream.time >= first], stream.values[stream.time >= first])
 
     sensor, truth = trial.sensor, trial.truth
     assert sensor.magnetometer is not None
-    rows = truth.time >= start_s
+    rows = truth.time >= first
     return replace(
         trial.recording,
         sensors={
@@ -192,13 +218,14 @@ def errors(
 ) -> Errors:
     """Errors of attitudes `(T, 3, 3)` at `time`, the truth's first `drop_s` after the start left out.
 
-    The start is `start_s`, or the first stamp of the truth if that is later. Constant rotations from the left
-    (the room knows no north) and from the right are removed: those with the least mean square chord.
+    The start is that of `cropped(trial, start_s)`, or the first stamp of the truth if that is later, as at 0.
+    Constant rotations from the left (the room knows no north) and from the right are removed: those with the
+    least mean square chord.
     """
     quaternion = _quaternion(trial)
-    begin = max(start_s, trial.truth.time[0]) + drop_s
+    first = max(begin(trial) + start_s, trial.truth.time[0]) + drop_s
     rows = np.isfinite(quaternion).all(axis=1)
-    rows &= (trial.truth.time >= max(begin, time[0])) & (trial.truth.time <= time[-1])
+    rows &= (trial.truth.time >= max(first, time[0])) & (trial.truth.time <= time[-1])
     true = Rotation.from_quat(quaternion[rows], scalar_first=True).as_matrix()
     found = Slerp(time, Rotation.from_matrix(attitude))(trial.truth.time[rows]).as_matrix()
     turn = _matched(found, true) @ true.swapaxes(1, 2)
@@ -354,9 +381,9 @@ def describe(trials: Sequence[Trial]) -> None:
         vertical = np.degrees(about_vertical(trial, bias(trial)))
         counts = [len(strides_by_truth(trial, least)) for least in (5.0, 8.0, 12.0)]
         print(
-            f"{trial.name:18} hand {turn:6.2f} deg, lag {1e3 * trial.lag_s:5.1f} ms, rates apart by {before:.3f}, "
-            f"then {after:.3f} rad/s; bias {x:5.2f} {y:5.2f} {z:5.2f}, about up {vertical:5.2f} deg/s; strides "
-            f"at 5, 8, 12 deg {counts[0]} {counts[1]} {counts[2]}; {distance_by_truth(trial):.1f} m"
+            f"{trial.name:18} hand {turn:.2f} deg, lag {1e3 * trial.lag_s:.1f} ms, rates apart by {before:.3f}, "
+            f"then {after:.3f} rad/s; bias {x:5.2f} {y:5.2f} {z:5.2f}, about up {vertical:5.2f} deg/s; "
+            f"strides at 5, 8, 12 deg {counts[0]} {counts[1]} {counts[2]}; {distance_by_truth(trial):.1f} m"
         )
 
 
