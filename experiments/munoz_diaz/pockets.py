@@ -6,8 +6,8 @@ DATA is a folder with `pocket_mocap/` (default: the environment's PEDJAX_DATA). 
 a room of 5 by 5 m: two subjects, front and back pocket, clean and with magnets held near the phone. Told are
 how the truth was brought to the phone, the gyroscope's bias, strides and distance, and the heading errors of
 VQF (the package `vqf`) for several starts. Only VQF's clip of the bias is not as it comes: the bias about
-the phone's z axis is 3.6 to 4.4 deg/s here, and it clips at 2. Orders of a few tenths of a degree are chance:
-starts half a second apart differ by as much.
+the phone's z axis is 3.6 to 4.4 deg/s here, and it clips at 2. Differences of a few tenths of a degree are
+chance: starts half a second apart differ by as much.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ def load(data: Path) -> list[Trial]:
     """The eight walks in the folder `pocket_mocap` of `data`, sensor "pocket".
 
     The magnetometer is the raw stream less the phone's own offset, one constant per walk: raw less calibrated
-    is the same number, (60 to 83, -76 to -53, 408 to 413) microtesla, in 99.8 % and more of each walk's
-    samples; it jumps only within the first second of two walks, and then by 2 and 12 microtesla.
+    is the same number, (60 to 83, -76 to -53, 408 to 413) microtesla, in 99.3 % and more of each walk's
+    samples; it jumps only within the last second of two walks, and then by 2 and 12 microtesla.
     """
     files = sorted((data / FOLDER).glob("subject_*_pocket.npz"))
     if not files:
@@ -381,9 +381,9 @@ def describe(trials: Sequence[Trial]) -> None:
         vertical = np.degrees(about_vertical(trial, bias(trial)))
         counts = [len(strides_by_truth(trial, least)) for least in (5.0, 8.0, 12.0)]
         print(
-            f"{trial.name:18} hand {turn:.2f} deg, lag {1e3 * trial.lag_s:.1f} ms, rates apart by {before:.3f}, "
-            f"then {after:.3f} rad/s; bias {x:5.2f} {y:5.2f} {z:5.2f}, about up {vertical:5.2f} deg/s; "
-            f"strides at 5, 8, 12 deg {counts[0]} {counts[1]} {counts[2]}; {distance_by_truth(trial):.1f} m"
+            f"{trial.name:18} hand {turn:.2f} deg, lag {1e3 * trial.lag_s:.1f} ms, rates apart by "
+            f"{before:.3f}, then {after:.3f} rad/s; bias {x:5.2f} {y:5.2f} {z:5.2f}, about up {vertical:5.2f} "
+            f"deg/s; strides at 5, 8, 12 deg {counts[0]} {counts[1]} {counts[2]}; {distance_by_truth(trial):.1f} m"
         )
 
 
