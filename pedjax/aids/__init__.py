@@ -7,6 +7,7 @@ from pedjax.aids.assembly import aided
 from pedjax.aids.heading_heuristic import HEADING_HEURISTIC
 from pedjax.aids.initial_alignment import INITIAL_ALIGNMENT, START_CHECK
 from pedjax.aids.magnetic_heading import FIELD_RATE, MAGNETIC_HEADING
+from pedjax.aids.steps import STEPS
 from pedjax.aids.tilt import TILT
 from pedjax.aids.zero_velocity import ZERO_ANGULAR_RATE, ZERO_VELOCITY
 from pedjax.errors import InputError, suggest
@@ -14,7 +15,7 @@ from pedjax.errors import InputError, suggest
 COMPASS = (INITIAL_ALIGNMENT, MAGNETIC_HEADING, START_CHECK, FIELD_RATE)
 """What goes by the magnetic field, in the order in which they build on each other."""
 
-_OURS = (ZERO_VELOCITY, ZERO_ANGULAR_RATE, TILT, *COMPASS, HEADING_HEURISTIC)
+_OURS = (ZERO_VELOCITY, ZERO_ANGULAR_RATE, TILT, *COMPASS, HEADING_HEURISTIC, STEPS)
 
 AIDS: dict[str, Aid] = {each.name: each for each in _OURS}
 
@@ -34,6 +35,6 @@ def find_aid(name: str) -> Aid:
 
 __all__ = [
     "AIDS", "COMPASS", "FIELD_RATE", "HEADING_HEURISTIC", "INITIAL_ALIGNMENT", "MAGNETIC_HEADING",
-    "START_CHECK", "TILT", "ZERO_ANGULAR_RATE", "ZERO_VELOCITY", "Aid", "Measured", "Seen", "aided",
+    "START_CHECK", "STEPS", "TILT", "ZERO_ANGULAR_RATE", "ZERO_VELOCITY", "Aid", "Measured", "Seen", "aided",
     "find_aid", "register_aid",
 ]  # fmt: skip
