@@ -189,7 +189,7 @@ def _followed(
     """The cycle with one more sample, and event, swing, seconds and bounce of what it ends."""
     rises, falls = (angle > band) & (cycle.side <= 0), (angle < -band) & (cycle.side >= 0)
     waited = jnp.where(rises | falls, 0.0, cycle.waited + dt)
-    rests = waited > RESTS_S
+    rests = waited > RESTS_S + 0.5 * dt  # a border between samples: the same one in any precision
     ends = (cycle.side < 0) & (rises | rests)
     side = jnp.where(rises, 1.0, jnp.where(falls, -1.0, jnp.where(rests, 0.0, cycle.side)))
     seconds = cycle.seconds + dt
@@ -200,4 +200,4 @@ def _followed(
         jnp.where(begins, a, b)
         for a, b in ((0 * dt, seconds), (angle, high), (angle, low), (up, most), (up, least))
     )
-    return _Cycle(side, waited, *now), (jnp.where(ends, 1.0, 0.0), high - low, seconds, most - least)
+    return _Cycle(side, waited, *now), (ends.astype(dt.dtype), high - low, seconds, most - least)
