@@ -69,3 +69,11 @@ def straight(tmp_path_factory):
     path = tmp_path_factory.mktemp("scenario") / "straight.toml"
     path.write_text(tools.STRAIGHT)
     return simulate(load_scenario(path), 1)
+
+
+@pytest.fixture(scope="session")
+def pocket(tmp_path_factory):
+    """A made walk with a sensor in the trouser pocket: a stroll, a walk, a stand, brisk, and a short run."""
+    path = tmp_path_factory.mktemp("scenario") / "pocket.toml"
+    path.write_text(tools.POCKET)
+    return simulate(load_scenario(path), 3)

@@ -38,6 +38,21 @@ legs = [{ points = [[0, 0], [90, 0]] }]
 """
 """A scenario: straight on in a homogeneous field."""
 
+POCKET = """
+rate_hz = 100.0
+standing_s = 3.0
+sensors = { pocket = "xsens_mtw" }
+field = { kind = "none" }
+legs = [
+    { points = [[0, 0], [35, 0]], gait = "slow" },
+    { points = [[35, 0], [60, 0], [60, 20]], radius = 2.0 },
+    { kind = "stand", seconds = 6.0 },
+    { points = [[60, 20], [60, 60]], gait = "fast" },
+    { points = [[60, 60], [60, 100]], gait = "run" },
+]
+"""
+"""A scenario: four gaits, a bend and a stop, for a sensor in a trouser pocket."""
+
 
 def noisy(walk, seed, force=0.05, rate=0.005, force_bias=0.04, rate_bias=0.003):
     """The walk with white noise and constant biases on its sensors, in m/s^2 and rad/s."""

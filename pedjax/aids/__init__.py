@@ -10,6 +10,7 @@ from pedjax.aids.gravity_update import GRAVITY_UPDATE
 from pedjax.aids.heading_heuristic import HEADING_HEURISTIC
 from pedjax.aids.initial_alignment import INITIAL_ALIGNMENT, START_CHECK
 from pedjax.aids.magnetic_heading import FIELD_RATE, MAGNETIC_HEADING
+from pedjax.aids.steps import STEPS
 from pedjax.aids.tilt import TILT
 from pedjax.aids.zero_velocity import ZERO_ANGULAR_RATE, ZERO_VELOCITY
 from pedjax.errors import InputError, suggest
@@ -19,7 +20,7 @@ COMPASS = (INITIAL_ALIGNMENT, MAGNETIC_HEADING, START_CHECK, FIELD_RATE)
 
 _OURS = (
     ZERO_VELOCITY, ZERO_ANGULAR_RATE, TILT, *COMPASS, HEADING_HEURISTIC,
-    GRAVITY_UPDATE, BOUNDED_VELOCITY, FIELD_REFERENCE,
+    GRAVITY_UPDATE, BOUNDED_VELOCITY, FIELD_REFERENCE, STEPS,
 )  # fmt: skip
 
 AIDS: dict[str, Aid] = {each.name: each for each in _OURS}
@@ -39,7 +40,7 @@ def find_aid(name: str) -> Aid:
 
 
 __all__ = [
-    "AIDS", "BOUNDED_VELOCITY", "COMPASS", "FIELD_RATE", "FIELD_REFERENCE", "GRAVITY_UPDATE", "HEADING_HEURISTIC", "INITIAL_ALIGNMENT", "MAGNETIC_HEADING",
-    "START_CHECK", "TILT", "ZERO_ANGULAR_RATE", "ZERO_VELOCITY", "Aid", "Measured", "Seen", "aided",
-    "find_aid", "register_aid",
+    "AIDS", "BOUNDED_VELOCITY", "COMPASS", "FIELD_RATE", "FIELD_REFERENCE", "GRAVITY_UPDATE",
+    "HEADING_HEURISTIC", "INITIAL_ALIGNMENT", "MAGNETIC_HEADING", "START_CHECK", "STEPS", "TILT",
+    "ZERO_ANGULAR_RATE", "ZERO_VELOCITY", "Aid", "Measured", "Seen", "aided", "find_aid", "register_aid",
 ]  # fmt: skip

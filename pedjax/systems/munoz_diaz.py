@@ -13,13 +13,14 @@ from pedjax.aids.assembly import aided
 from pedjax.aids.bounded_velocity import BOUNDED_VELOCITY
 from pedjax.aids.field_reference import FIELD_REFERENCE
 from pedjax.aids.gravity_update import GRAVITY_UPDATE
+from pedjax.aids.steps import STEPS
 from pedjax.filters.euler import EULER
 from pedjax.filters.orientation import BOUNDED, ORIENTATION
 
 MUNOZ_DIAZ = aided(
     "munoz_diaz",
     EULER,
-    (GRAVITY_UPDATE, FIELD_REFERENCE),
+    (GRAVITY_UPDATE, FIELD_REFERENCE, STEPS),
     "Euler EKF with gravity and differential magnetic updates, in a pocket",
     role="pocket",
     values={"zero_acceleration.rows": ("angles", "Munoz Diaz 2017, Eq. 12-14")},
@@ -29,7 +30,7 @@ MUNOZ_DIAZ = aided(
 MUNOZ_DIAZ_TWIN = aided(
     "munoz_diaz_twin",
     ORIENTATION,
-    (GRAVITY_UPDATE, FIELD_REFERENCE),
+    (GRAVITY_UPDATE, FIELD_REFERENCE, STEPS),
     "attitude EKF with gravity and a field that is estimated, in a pocket",
     role="pocket",
     values={"reference.form": ("state", "kit choice; Munoz Diaz 2017: differential")},
@@ -39,7 +40,7 @@ MUNOZ_DIAZ_TWIN = aided(
 POCKET = aided(
     "pocket",
     BOUNDED,
-    (BOUNDED_VELOCITY, FIELD_REFERENCE),
+    (BOUNDED_VELOCITY, FIELD_REFERENCE, STEPS),
     "attitude EKF with bounded velocity, hard iron and a wandering field, in a pocket",
     role="pocket",
     values={
@@ -48,6 +49,7 @@ POCKET = aided(
         "process.gyroscope_bias": (1.6e-4, "kit choice"),
         "initial.attitude": (0.1, "kit choice: a pocket that may be moving"),
         "initial.gyroscope_bias": (1.4e-2, "kit choice: 0.8 deg/s"),
+        "steps.ahead": ("learned", "kit choice: a phone hangs as it likes"),
         "reference.form": ("state", "kit choice"),
         "reference.density": (2.9, "kit choice: a room's field beside a swinging leg"),
         "reference.detector": ("odd", "kit choice"),
