@@ -379,11 +379,11 @@ def describe(trials: Sequence[Trial]) -> None:
         before, after = residual(trial, trial.hand.T, -trial.lag_s), residual(trial)
         x, y, z = np.degrees(bias(trial))
         vertical = np.degrees(about_vertical(trial, bias(trial)))
-        counts = [len(strides_by_truth(trial, least)) for least in (5.0, 8.0, 12.0)]
+        counts = " ".join(str(len(strides_by_truth(trial, least))) for least in (5.0, 8.0, 12.0))
         print(
             f"{trial.name:18} hand {turn:.2f} deg, lag {1e3 * trial.lag_s:.1f} ms, rates apart by "
-            f"{before:.3f}, then {after:.3f} rad/s; bias {x:5.2f} {y:5.2f} {z:5.2f}, about up {vertical:5.2f} "
-            f"deg/s; strides at 5, 8, 12 deg {counts[0]} {counts[1]} {counts[2]}; {distance_by_truth(trial):.1f} m"
+            f"{before:.3f}, then {after:.3f} rad/s; bias {x:5.2f} {y:5.2f} {z:5.2f}, about up "
+            f"{vertical:5.2f} deg/s; strides at 5, 8, 12 deg {counts}; {distance_by_truth(trial):.1f} m"
         )
 
 
