@@ -1,4 +1,5 @@
-"""What one walk tells the next of its sensor: the gyroscope's bias, and the hard iron of what hangs beside it.
+"""What one walk tells the next of its sensor: the gyroscope's bias, and the hard iron of what hangs beside
+it.
 
 A run's last estimates are a file that the next run starts from (`pedjax run --prior FILE`), or the start of a
 second pass over the same walk, which is not causal and nearly as good as knowing the bias beforehand.
@@ -29,15 +30,15 @@ PASS_BIAS, PASS_IRON = 2e-3, 2.0
 """rad/s and µT: how far the second pass trusts the first, which has seen the same readings."""
 
 _AXES = "xyz"
-_HEADING = """What a walk told of its sensor, for `pedjax run --prior`: the gyroscope's bias in rad/s and, where it was
-estimated, the hard iron in microtesla, by body axis, with their standard deviations. `drift` is by how much each
-may differ at the next walk: what your sensor does is worth more than the number here."""
+_HEADING = """What a walk told of its sensor, for `pedjax run --prior`: the gyroscope's bias in rad/s and,
+where it was estimated, the hard iron in microtesla, by body axis, with their standard deviations. `drift` is
+by how much each may differ at the next walk: what your sensor does is worth more than the number here."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """Three numbers by body axis with their standard deviation (the largest of the three), and by how much they
-    may differ at the next walk."""
+    """Three numbers by body axis with their standard deviation (the largest of the three), and by how much
+    they may differ at the next walk."""
 
     x: float = 0.0
     y: float = 0.0
@@ -76,7 +77,8 @@ def prior_of(track: Any) -> Prior:
 
 
 def _known(values: np.ndarray, sigmas: np.ndarray, drift: float) -> Known:
-    return Known(*(float(x) for x in values), sigma=float(np.max(sigmas)), drift=drift)
+    x, y, z = (float(value) for value in values)
+    return Known(x, y, z, float(np.max(sigmas)), drift)
 
 
 def with_prior(params: Any, prior: Prior, origin: str = "prior") -> Any:
@@ -90,7 +92,9 @@ def changes(params: Any, prior: Prior, origin: str = "prior") -> dict[str, Any]:
     if "initial.prior.x" not in paths:
         raise InputError(f"{origin}: this system cannot be given a first bias of the gyroscope")
     bias = prior.gyroscope_bias
-    new: dict[str, Any] = {"initial.bias": "given" if paths["initial.bias"] == "zero" else paths["initial.bias"]}
+    new: dict[str, Any] = {
+        "initial.bias": "given" if paths["initial.bias"] == "zero" else paths["initial.bias"]
+    }
     new |= {f"initial.prior.{a}": getattr(bias, a) for a in _AXES}
     new["initial.gyroscope_bias"] = bias.spread
     if prior.hard_iron is not None and paths.get("reference.state.iron"):
@@ -100,8 +104,8 @@ def changes(params: Any, prior: Prior, origin: str = "prior") -> dict[str, Any]:
 
 
 def second_pass(params: Any, track: Any) -> Any:
-    """The parameters with which a run over the same walk starts from what the first one ended with: bias, hard
-    iron, and the size and dip of the field; the yaw is free."""
+    """The parameters with which a run over the same walk starts from what the first one ended with: bias,
+    hard iron, and the size and dip of the field; the yaw is free."""
     first = prior_of(track)
     bias = _known(track.estimate["gyroscope_bias"][-1], np.zeros(3), PASS_BIAS)
     iron = None

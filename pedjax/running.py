@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pedjax import filtering, parameters, rotations
+from pedjax import filtering, parameters, prior, rotations
 from pedjax.detectors.segments import clean_stance, stance_id
 from pedjax.errors import InputError, suggest
 from pedjax.preparing import prepare
@@ -109,14 +109,23 @@ def run(
     sensor: Sensors = None,
     clock: Clock | None = None,
     site: Any = None,
+    passes: int = 1,
 ) -> Track:
     """Run a system over a recording (`params`: default the published ones) in JAX's current precision.
 
     `sensor` is the name of the one that plays the system's first role, or names by role; `site` is what a
-    system that needs one is to know of the place, a magnetic map.
+    system that needs one is to know of the place, a magnetic map. With two `passes` the walk is run once more
+    from the biases that the first run ended with (`prior.second_pass`), which is not causal.
     """
     chosen = find_system(system)
     params = chosen.defaults() if params is None else params
+    if passes not in (1, 2):
+        raise InputError(f"passes = {passes} must be 1 or 2")
+    if passes == 2:
+        first = run(recording, chosen, params, sensor=sensor, clock=clock, site=site)
+        if not np.isfinite(first.estimate["position"][-1]).all():
+            return first  # it has nothing to tell to a second
+        params = prior.second_pass(params, first)
     walk = as_walk(recording, sensor, clock, needs=chosen.needs)
     check_walk(chosen, params, walk)
     dtype = jnp.result_type(float)

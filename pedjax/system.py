@@ -22,8 +22,8 @@ from jax.typing import ArrayLike
 
 class Need(NamedTuple):
     """A sensor that a system needs: its `role` (foot, waist, pocket), which is also the name it is looked for
-    by unless the user says otherwise, whether it must have a magnetometer (`field`), and whether that may lack
-    readings for a while (`gaps`; they are NaN)."""
+    by unless the user says otherwise, whether it must have a magnetometer (`field`), and whether that may
+    lack readings for a while (`gaps`; they are NaN)."""
 
     role: str
     field: bool = False
@@ -77,7 +77,7 @@ REASONS: dict[int, str] = {
     Status.GIMBAL: "the attitude came to where its angles are not defined",
     Status.OFF_THE_MAP: "the position left the map",
     Status.NOT_ALIGNED: "the start could not be aligned",
-    Status.LOCKED_OUT: "the magnetic field has not fitted for so long that the heading is the gyroscope's alone",
+    Status.LOCKED_OUT: "no reading of the magnetic field has fitted for long: the heading is the gyroscope's",
 }
 """Status to a sentence. A system of your own may add codes from 100 on."""
 

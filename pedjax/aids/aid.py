@@ -22,8 +22,8 @@ from pedjax.system import Gated, Signals
 class Seen(NamedTuple):
     """What an aid sees at a sample: the `estimate` and its covariance `P` as the aids before it left them,
     the `sample` (with lane axes), what its own `prepare` made of it (`own`), and of the aids before it their
-    `gates` by name and what they had to say (`more`). `in_filter` gives its rows as the filter takes them, for
-    an aid that weighs its innovation against P itself."""
+    `gates` by name and what they had to say (`more`). `in_filter` gives its rows as the filter takes them,
+    for an aid that weighs its innovation against P itself."""
 
     estimate: Any
     P: Covariance
@@ -79,8 +79,8 @@ class Aid(NamedTuple):
     - `is_on(p)`: by settings; an aid that is off costs nothing.
     - `prepare(p, signals, dt, rate_hz, length)`: what it needs of each sample beside the signals, time first.
     - `start(p, site, opening, estimate, P) -> state, estimate, P`: its first state; it may mend the first
-      estimate, and add states of its own to P (`covariance.extended`), which it then moves by itself in `step`
-      and corrects in `after`.
+      estimate, and add states of its own to P (`covariance.extended`), which it then moves by itself in
+      `step` and corrects in `after`.
     - `step(p, site, state, seen) -> Measured`.
     - `after(p, state, by, correction, estimate) -> state`: called after each correction of the estimate at
       this sample, whichever aid it was `by`, in the order of aids: for states that are kept in terms of the

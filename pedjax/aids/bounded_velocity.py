@@ -2,9 +2,8 @@
 
 What is integrated is the force less gravity. A tilt makes it grow without bound, a swinging leg does not: the
 pseudo-measurement v = 0, of a wide and known noise at all times, therefore levels the attitude, without a
-detector, and with the noise as a density at any sampling rate alike. (The walker's own speed, which is constant
-along the way, is part of that noise.) It is for the filter `bounded`.
-"""
+detector, and with the noise as a density at any sampling rate alike. (The walker's own speed, which is
+constant along the way, is part of that noise.) It is for the filter `bounded`."""
 
 from __future__ import annotations
 

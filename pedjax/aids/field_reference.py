@@ -2,10 +2,9 @@
 
 Three references, `reference.form`: `differential`, each reading against the one before (Munoz Diaz 2017);
 `anchored`, against the first of a steady stretch (`filters.field_turn` has both, and why the second's
-covariance is not honest); `state`, against a field that the filter estimates, with what it does not know of it
-(`filters.wandering_field`). A detector says which readings count: none, the strength's range over a window, or
-the soft weight of `filters.odd_field`.
-"""
+covariance is not honest); `state`, against a field that the filter estimates, with what it does not know of
+it (`filters.wandering_field`). A detector says which readings count: none, the strength's range over a
+window, or the soft weight of `filters.odd_field`."""
 
 from __future__ import annotations
 
@@ -36,13 +35,13 @@ class Reference(SoftGate):
     form: str = setting(
         "differential", choices=("none", "differential", "anchored", "state"),
         source="differential: Munoz Diaz 2017",
-        meaning="What a reading is held against: nothing, the one before, the first of a steady stretch, or a "
-        "field that is estimated.",
+        meaning="What a reading is held against: nothing, the one before, the first of a steady stretch, or"
+        " a field that is estimated.",
     )  # fmt: skip
     noise: str = setting(
         "white", choices=("white", "moving_average"), source="white: Munoz Diaz 2017",
-        meaning="Whether two differences of readings that follow share the noise of the one between, as they do, "
-        "or are taken as independent (differential form).",
+        meaning="Whether two differences of readings that follow share the noise of the one between, as "
+        "they do, or are taken as independent (differential form).",
     )  # fmt: skip
     density: Array = leaf(
         0.0015, unit="uT/sqrt(Hz)", low=1e-5, high=100.0, tune=True,
@@ -60,20 +59,22 @@ class Reference(SoftGate):
     threshold: Array = leaf(
         0.2, unit="uT", low=1e-3, high=100.0, source="kit choice; Munoz Diaz 2017: not printed", tune=True,
         point=True, when={"detector": "steady"},
-        meaning="Range of the strength in a window below which the field is steady; raised, more readings count.",
+        meaning="Range of the strength in a window below which the field is steady; raised, more readings "
+        "count.",
     )  # fmt: skip
     odd: OddField = group(OddField, when={"detector": "odd"})
     state: Wandering = group(Wandering, when={"form": "state"})
     patience: Array = leaf(
         60.0, unit="s", low=1.0, high=1e6, source="kit choice",
-        meaning="For how long no reading may count before the run is called locked out; raised, it is said later.",
+        meaning="For how long no reading may count before the run is called locked out; raised, it is said "
+        "later.",
     )  # fmt: skip
 
 
 class State(NamedTuple):
     """The last reading `before (3, *L)` µT and whether there was one, `had (*L)`; of the moving average its
-    `error (3, *L)`; of the anchored form the `anchor (3, *L)` and whether it is `held (*L)`; of the field state
-    `fields`; of the soft weight `oddness`; and for how long nothing counted, `idle (*L)` s."""
+    `error (3, *L)`; of the anchored form the `anchor (3, *L)` and whether it is `held (*L)`; of the field
+    state `fields`; of the soft weight `oddness`; and for how long nothing counted, `idle (*L)` s."""
 
     before: Array
     had: Array

@@ -1,11 +1,11 @@
-"""Absolute gravity update: where the force is gravity alone, it tells roll and pitch (Munoz Diaz 2017, Eq. 12-14).
+"""Absolute gravity update: where the force is gravity alone, it tells roll and pitch (Munoz Diaz 2017, Eq.
+12-14).
 
 The zero-acceleration detector holds | |f| − g | against a threshold. A pocket never rests, but twice a stride
 the thigh's acceleration is small. Rows are roll and pitch of the force, with its noise turned into angles by
-their derivative, or the force itself, f = Ĉᵀ (I − [t×]) g e_up, which is the same to first order but where the
-sensor hangs upside down or pitched by 90 degrees, and there it still holds. (The third number, the length of
-the force, says nothing of t.)
-"""
+their derivative, or the force itself, f = Ĉᵀ (I − [t×]) g e_up, which is the same to first order but where
+the sensor hangs upside down or pitched by 90 degrees, and there it still holds. (The third number, the length
+of the force, says nothing of t.)"""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ class ZeroAcceleration(SoftGate):
     sigma: Array = leaf(
         0.3, unit="m/s^2", low=1e-3, high=50.0, tune=True,
         source="kit choice: what the threshold lets through; Munoz Diaz 2017: the accelerometer's noise",
-        meaning="Standard deviation along each axis of a force that passed; raised, it levels the attitude less.",
+        meaning="Standard deviation along each axis of a force that passed; raised, it levels the attitude "
+        "less.",
     )  # fmt: skip
     rows: str = setting(
         "vector", choices=("vector", "angles"), source="angles: Munoz Diaz 2017",
@@ -68,10 +69,8 @@ def _step(p: Any, site: Any, state: Any, seen: Seen) -> Measured:
     force = seen.sample.force + 0 * C[0]
     ratio = log_positive(jnp.abs(norm(force) - p.gravity)) - jnp.log(q.threshold)
     weight = gate(ratio, q.width, q.straight_through)
-    if q.rows == "angles":
-        rows = _by_angles(C, force, q.sigma)
-    else:
-        rows = _by_vector(C, force, p.gravity, q.sigma)
+    angles = q.rows == "angles"
+    rows = _by_angles(C, force, q.sigma) if angles else _by_vector(C, force, p.gravity, q.sigma)
     weight = weight * (seen.sample.dt > 0)
     return Measured(state, rows, weight, Gated(weight, ratio))
 

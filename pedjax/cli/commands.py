@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from pedjax import __version__, parameters, plots
+from pedjax import __version__, parameters, plots, prior
 from pedjax.cli import allan, calibrate, roc, sigmas, simulate, sweeps
 from pedjax.cli.common import configured, loaded, say, write_metrics, write_parameters
 from pedjax.config import override, resolve, resolved, site_of, tune_settings
@@ -95,7 +95,9 @@ def run(args: argparse.Namespace) -> int:
     recordings = read_all(config.recordings, args.format)
     entries = []
     for path, recording, stem in zip(config.recordings, recordings, _stems(recordings), strict=True):
-        track = run_system(recording, chosen, params, sensor=config.sensor, clock=config.clock, site=site)
+        track = run_system(
+            recording, chosen, params, sensor=config.sensor, clock=config.clock, site=site, passes=args.passes
+        )
         score = evaluate(track, recording, config.alignment)
         entry = _entry(path, recording, track, score)
         if fingerprint(recording) in config.tuned_on:
@@ -103,6 +105,8 @@ def run(args: argparse.Namespace) -> int:
         entries.append(entry)
         say(_line(path, recording, track, score, entry.get("tuned_on", False)))
         write_table(out / f"{stem}_track.csv", _columns(track))
+        if "gyroscope_bias" in track.estimate and track.healthy:
+            prior.write(out / f"{stem}_prior.toml", prior.prior_of(track))
         if config.figures:
             picture = plots.trajectory(track, recording, score, config.alignment)
             write_figure(out / f"{stem}_trajectory.png", picture)

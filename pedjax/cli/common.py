@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pedjax import __version__, parameters
+from pedjax import __version__, parameters, prior
 from pedjax.calibration import files as calibration_files
 from pedjax.config import Config, load, load_plugin, override, resolve, resolved
 from pedjax.detection import looks_at_field
@@ -39,6 +39,8 @@ def configured(args: argparse.Namespace) -> Config:
         config = replace(config, figures=False)
     if getattr(args, "calibration", None):
         config = _calibrated(config, args.calibration)
+    if getattr(args, "prior", None):
+        config = _with_prior(config, args.prior)
     config = override(config, args.set)
     if not config.recordings:
         raise InputError("no recording was given; name files, or demo:0 for a walk made by the package")
@@ -77,6 +79,13 @@ def _calibrated(config: Config, path: str) -> Config:
             f"--calibration {path}: the system '{chosen.name}' does not use a magnetometer; choose another "
             f"--system ({', '.join(magnetic)})"
         )
+    return replace(config, parameters={**parameters.flatten(config.parameters), **new})
+
+
+def _with_prior(config: Config, path: str) -> Config:
+    """The config with what an earlier walk told of the sensor as parameters."""
+    _, params = resolve(config)
+    new = prior.changes(params, prior.read(path), f"--prior {path}")
     return replace(config, parameters={**parameters.flatten(config.parameters), **new})
 
 

@@ -65,7 +65,15 @@ def _parser() -> argparse.ArgumentParser:
 
     both = [recordings, system]
     commands.add_parser("info", parents=[single], help="what a file holds, and what looks wrong with it")
-    commands.add_parser("run", parents=both, help="track and errors with given parameters")
+    run = commands.add_parser("run", parents=both, help="track and errors with given parameters")
+    run.add_argument(
+        "--prior", metavar="TOML",
+        help="biases of the sensor from an earlier walk: the NAME_prior.toml that its run wrote",
+    )  # fmt: skip
+    run.add_argument(
+        "--passes", type=int, choices=(1, 2), default=1,
+        help="2: run each walk once more from the biases that it ended with (not causal)",
+    )  # fmt: skip
     tune = commands.add_parser("tune", parents=both, help="better parameters by gradient")
     tune.add_argument(
         "--held-back", metavar="RECORDING", nargs="+", default=[], help="recordings to report but not tune on"

@@ -20,8 +20,8 @@ class Readings(NamedTuple):
 
 
 def readings(field: Array, width: int) -> Readings:
-    """Of a field `(T, 3)`, NaN where there is no reading, and a window of that many samples, in which a missing
-    reading makes the spread as large as numbers go."""
+    """Of a field `(T, 3)`, NaN where there is no reading, and a window of that many samples, in which a
+    missing reading makes the spread as large as numbers go."""
     known = jnp.isfinite(field).all(axis=1)
     whole = jnp.where(known[:, None], field, 0.0)
     size = jnp.sqrt(jnp.sum(whole * whole, axis=1))

@@ -6,8 +6,8 @@ The angles e = (roll, pitch, yaw) are the state, the rotation only a way to pred
     b' = c b,  c = e^(−dt/τ).
 
 (Printed are B_{k+1} in A, and − cos σ for 1 − cos σ.) F = ∂(e', b')/∂(e, b) comes from the derivative of just
-that, and the gyroscope's noise enters through J = ∂e'/∂(rotation of the body). What an aid measures as a small
-rotation t in navigation axes is turned into angles by t = T δe.
+that, and the gyroscope's noise enters through J = ∂e'/∂(rotation of the body). What an aid measures as a
+small rotation t in navigation axes is turned into angles by t = T δe.
 
 At a pitch of ±90 degrees roll and yaw are one: from `GIMBAL` on the status says so. A phone in a pocket hangs
 at 79 to 89 degrees; `orientation` is this filter for whoever has one.
@@ -26,7 +26,7 @@ from pedjax.filters import covariance
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Filter, Opening, Sample
 from pedjax.filters.kalman import Rows
-from pedjax.filters.orientation import Oriented, OrientationParameters, levelled_start
+from pedjax.filters.orientation import OrientationParameters, Oriented, levelled_start
 from pedjax.filters.orientation import correct as corrected
 from pedjax.lanes import dot, eye, matmul, matmul_t
 from pedjax.system import Status
@@ -50,9 +50,9 @@ def _from(angles: Array) -> Array:
 
 
 def angle_block(attitude: Array) -> Array:
-    """T `(3, 3, *L)` with t = T δ(roll, pitch, yaw): columns are the axes about which each angle turns, seen in
-    navigation axes."""
-    roll, pitch, yaw = rotations.to_euler(attitude)
+    """T `(3, 3, *L)` with t = T δ(roll, pitch, yaw): columns are the axes about which each angle turns, seen
+    in navigation axes."""
+    _, pitch, yaw = rotations.to_euler(attitude)
     cos, sin, none = jnp.cos(yaw), jnp.sin(yaw), 0 * yaw
     return jnp.stack(
         [

@@ -4,10 +4,10 @@ Differential (Munoz Diaz 2017, Eq. 15-16, corrected): with A the rotation of the
 
     m_k = Aᵀ m_{k−1} + noise,  A = exp([(ω − b) dt ×]);
 
-printed is A m_{k−1}, which in a still field is wrong by twice the turn, and drives the bias away. Two readings
-that follow share the noise of the one between them. Taken as white, which is published, N rows are believed
-to have 2N σ² where their sum has 2 σ²: the filter learns a hundred times slower than it could, and says so.
-With `moving average` noise the error of the last reading is a state, for one sample.
+printed is A m_{k−1}, which in a still field is wrong by twice the turn, and drives the bias away. Two
+readings that follow share the noise of the one between them. Taken as white, which is published, N rows are
+believed to have 2N σ² where their sum has 2 σ²: the filter learns a hundred times slower than it could, and
+says so. With `moving average` noise the error of the last reading is a state, for one sample.
 
 Anchored (after Afzal 2011): the first reading of a steady stretch, turned into navigation axes, is what all
 others of it are held against. It is fast; but the error of the anchor is in every row of the stretch, and
@@ -29,8 +29,8 @@ from pedjax.rotations import skew
 
 
 def turned(before: Array, rate: Array, bias: Array, dt: Array) -> tuple[Array, Array, Array]:
-    """What the last reading `before (3, *L)` µT becomes as the body turns for `dt` s, its slope `(3, 3, *L)` by
-    the bias, and Aᵀ `(3, 3, *L)`."""
+    """What the last reading `before (3, *L)` µT becomes as the body turns for `dt` s, its slope `(3, 3, *L)`
+    by the bias, and Aᵀ `(3, 3, *L)`."""
     found, by_bias = slopes(lambda b: matvec(rotations.exp(-(rate - b) * dt), before), bias)
     return found, by_bias, rotations.exp(-(rate - bias) * dt)
 

@@ -63,10 +63,10 @@ class Filter(NamedTuple):
     walk `start(p, opening) -> estimate, P` levels by, `predict(p, estimate, P, sample)` moves both on by a
     sample, `correct(estimate, correction)` adds a correction by state, and `states` names the field of the
     estimate and the letter of the covariance that belong together. `rest_s(p)` is how long a standing start
-    the opening's `rest` is at most; 0: the filter asks for none. Aids speak of the attitude's error as a small
-    rotation t in navigation axes; a filter that has it otherwise says by `rows(estimate, rows)` what these are
-    to it. `status(estimate)` tells where the estimate is not to be trusted, beside not being a number.
-    """
+    the opening's `rest` is at most; 0: the filter asks for none. Aids speak of the attitude's error as a
+    small rotation t in navigation axes; a filter that has it otherwise says by `rows(estimate, rows)` what
+    these are to it. `status(estimate)` tells where the estimate is not to be trusted, beside not being a
+    number."""
 
     name: str
     parameters: type

@@ -118,8 +118,8 @@ class Initial:
     align: Align = group(Align, when={"alignment": METHODS[1:]})
     bias: str = setting(
         "zero", choices=BIASES, source=_KIT,
-        meaning="The gyroscope's first bias: zero, as given, or that and the rest with which a recording begins, "
-        "which the start then reads ahead.",
+        meaning="The gyroscope's first bias: zero, as given, or that and the rest with which a recording "
+        "begins, which the start then reads ahead.",
     )  # fmt: skip
     prior: Prior = group(Prior, when={"bias": ("given", "rest")})
     rest_s: float = setting(

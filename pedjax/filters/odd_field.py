@@ -32,18 +32,18 @@ class OddField:
 
     level: Array = leaf(
         16.0, unit="uT", low=0.1, high=500.0, source=_KIT, tune=True,
-        meaning="Deviation of the strength that halves a reading's weight; raised, stronger and weaker fields "
-        "count more.",
+        meaning="Deviation of the strength that halves a reading's weight; raised, stronger and weaker "
+        "fields count more.",
     )  # fmt: skip
     vertical: Array = leaf(
         20.0, unit="uT", low=0.1, high=500.0, source=_KIT, tune=True,
-        meaning="Deviation of the vertical part that halves a reading's weight; raised, fields of another dip "
-        "count more.",
+        meaning="Deviation of the vertical part that halves a reading's weight; raised, fields of another "
+        "dip count more.",
     )  # fmt: skip
     innovation: Array = leaf(
         1.2, unit="1", low=1e-2, high=100.0, source=_KIT, tune=True,
-        meaning="Squared innovation in units of its spread, per axis, that halves a reading's weight; raised, "
-        "unexpected fields count more.",
+        meaning="Squared innovation in units of its spread, per axis, that halves a reading's weight; "
+        "raised, unexpected fields count more.",
     )  # fmt: skip
     innovation_sigma: Array = leaf(
         4.0, unit="uT", low=1e-2, high=100.0, source=_KIT, tune=True,
@@ -51,8 +51,8 @@ class OddField:
     )  # fmt: skip
     range: Array = leaf(
         20.0, unit="uT", low=0.1, high=500.0, source=_KIT, tune=True,
-        meaning="Recent range of the strength that halves a reading's weight; raised, fields that change count "
-        "more.",
+        meaning="Recent range of the strength that halves a reading's weight; raised, fields that change "
+        "count more.",
     )  # fmt: skip
     hold: Array = leaf(
         0.3, unit="s", low=1e-3, high=100.0, source=_KIT, tune=True,

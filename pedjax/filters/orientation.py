@@ -47,8 +47,9 @@ class Process:
         "leave the attitude less sure.",
     )  # fmt: skip
     gyroscope_bias: Array = leaf(
-        1e-7, unit="rad/s^2/sqrt(Hz)", low=1e-10, high=0.1, source=f"{_KIT}: a bias that hardly moves", tune=True,
-        meaning="How fast the gyroscope's bias may wander; raised, its estimate follows sooner and is noisier.",
+        1e-7, unit="rad/s^2/sqrt(Hz)", low=1e-10, high=0.1, source=f"{_KIT}: it hardly moves", tune=True,
+        meaning="How fast the gyroscope's bias may wander; raised, its estimate follows sooner and is "
+        "noisier.",
     )  # fmt: skip
     gyroscope_bias_time: Array = leaf(
         1e6, unit="s", low=1.0, high=1e9, source=f"{_KIT}: random walk; Munoz Diaz 2017: AR(1), not printed",
@@ -62,7 +63,8 @@ class BoundedProcess(Process):
 
     accelerometer: Array = leaf(
         0.13, unit="m/s^2/sqrt(Hz)", low=1e-5, high=10.0, source=_KIT, tune=True,
-        meaning="White noise of the accelerometer; raised, a velocity that is bounded tells less of the tilt.",
+        meaning="White noise of the accelerometer; raised, a velocity that is bounded tells less of the "
+        "tilt.",
     )  # fmt: skip
 
 
@@ -72,7 +74,8 @@ class Initial:
 
     attitude: Array = leaf(
         2.0 * _DEGREE, unit="rad", low=1e-6, high=1.5, source=_KIT, tune=True,
-        meaning="Standard deviation of the first roll and pitch; raised, the first forces correct the tilt more.",
+        meaning="Standard deviation of the first roll and pitch; raised, the first forces correct the tilt "
+        "more.",
     )  # fmt: skip
     heading_sigma: Array = leaf(
         0.1 * _DEGREE, unit="rad", low=1e-6, high=3.2, source=f"{_KIT}: yaw is free",
@@ -85,7 +88,8 @@ class Initial:
     gyroscope_bias: Array = leaf(
         1e-2, unit="rad/s", low=1e-8, high=0.35, source=f"{_KIT}: 0.57 deg/s, a unit that is not calibrated",
         tune=True,
-        meaning="Standard deviation of the gyroscope's first bias; raised, rest, force and field change it more.",
+        meaning="Standard deviation of the gyroscope's first bias; raised, rest, force and field change it "
+        "more.",
     )  # fmt: skip
     levelling_s: float = setting(
         1.0, source="Munoz Diaz 2017: 1 (unit lost) of standing",
@@ -93,20 +97,20 @@ class Initial:
     )  # fmt: skip
     bias: str = setting(
         "zero", choices=BIASES, source="zero: Munoz Diaz 2017, Fig. 8-10",
-        meaning="The gyroscope's first bias: zero, as given, or that and the rest with which a recording begins, "
-        "which the start then reads ahead.",
+        meaning="The gyroscope's first bias: zero, as given, or that and the rest with which a recording "
+        "begins, which the start then reads ahead.",
     )  # fmt: skip
     prior: Prior = group(Prior, when={"bias": ("given", "rest")})
     rest_s: float = setting(
         10.0, source=_KIT,
-        meaning="How much of the start is looked at for rest, if it gives the first bias; longer, a long rest "
-        "counts for more.",
+        meaning="How much of the start is looked at for rest, if it gives the first bias; longer, a long "
+        "rest counts for more.",
     )  # fmt: skip
     sway: Array = leaf(
         0.25 * _DEGREE, unit="rad/s", low=1e-6, high=0.1, source=f"{_KIT}, 0.25 deg/s", tune=True,
         when={"bias": "rest"},
-        meaning="How much a standing leg turns in a window of rest; raised, the mean rate at rest counts less "
-        "as the first bias.",
+        meaning="How much a standing leg turns in a window of rest; raised, the mean rate at rest counts "
+        "less as the first bias.",
     )  # fmt: skip
 
 
@@ -146,8 +150,8 @@ class BoundedParameters:
 
 
 class Oriented(NamedTuple):
-    """`attitude (3, 3, *L)` body to navigation, `gyroscope_bias (3, *L)` rad/s, and `position (3, *L)` m, which
-    only steps move."""
+    """`attitude (3, 3, *L)` body to navigation, `gyroscope_bias (3, *L)` rad/s, and `position (3, *L)` m,
+    which only steps move."""
 
     attitude: Array
     gyroscope_bias: Array

@@ -55,7 +55,8 @@ class Wandering:
 
     sigma: Array = leaf(
         5.0, unit="uT", low=1e-3, high=200.0, source=_KIT, tune=True,
-        meaning="Standard deviation of the first field along each axis; raised, early readings change it more.",
+        meaning="Standard deviation of the first field along each axis; raised, early readings change it "
+        "more.",
     )  # fmt: skip
     walk: Array = leaf(
         1e-3, unit="uT/sqrt(s)", low=1e-6, high=100.0, source=_KIT, tune=True,
@@ -68,12 +69,13 @@ class Wandering:
     )  # fmt: skip
     deviation: Array = leaf(
         1.5, unit="uT", low=1e-3, high=200.0, source=_KIT, tune=True, when={"deviates": True},
-        meaning="Standard deviation of what steel along the way adds to the field; raised, each reading holds the "
-        "heading less.",
+        meaning="Standard deviation of what steel along the way adds to the field; raised, each reading "
+        "holds the heading less.",
     )  # fmt: skip
     deviation_time: Array = leaf(
         3.0, unit="s", low=0.05, high=1e4, source=_KIT, tune=True, when={"deviates": True},
-        meaning="For how long a deviation of the field lasts; raised, readings of the same seconds count as one.",
+        meaning="For how long a deviation of the field lasts; raised, readings of the same seconds count as"
+        " one.",
     )  # fmt: skip
     iron: bool = setting(
         False, source=_KIT,
@@ -81,7 +83,8 @@ class Wandering:
     )  # fmt: skip
     iron_sigma: Array = leaf(
         10.0, unit="uT", low=1e-3, high=1000.0, source=_KIT, tune=True, when={"iron": True},
-        meaning="Standard deviation of the first hard iron along each axis; raised, early readings change it more.",
+        meaning="Standard deviation of the first hard iron along each axis; raised, early readings change "
+        "it more.",
     )  # fmt: skip
     iron_walk: Array = leaf(
         1e-2, unit="uT/sqrt(s)", low=1e-6, high=100.0, source=_KIT, when={"iron": True},
@@ -90,13 +93,13 @@ class Wandering:
     iron_prior: Iron = group(Iron, when={"iron": True})
     start: str = setting(
         "first", choices=("first", "expected"), source=_KIT,
-        meaning="The first field: that of the first second, or the one looked up for the place, to which the yaw "
-        "is turned once a reading is like it.",
+        meaning="The first field: that of the first second, or the one looked up for the place, to which "
+        "the yaw is turned once a reading is like it.",
     )  # fmt: skip
     level: Array = leaf(
         22.5, unit="uT", low=0.1, high=100.0, source=f"{_KIT}: Grenoble", when={"start": "expected"},
-        meaning="Horizontal part of the field that is expected, to the north; raised, a first reading must have "
-        "more of it.",
+        meaning="Horizontal part of the field that is expected, to the north; raised, a first reading must "
+        "have more of it.",
     )  # fmt: skip
     down: Array = leaf(
         38.0, unit="uT", low=-100.0, high=100.0, scale="linear", source=f"{_KIT}: Grenoble",
@@ -110,8 +113,8 @@ class Wandering:
     )  # fmt: skip
     yaw_sigma: Array = leaf(
         0.02, unit="rad", low=1e-4, high=3.0, source=_KIT, when={"start": "expected"},
-        meaning="Standard deviation of the yaw once it is set, beside that of the field; raised, next readings "
-        "turn it more.",
+        meaning="Standard deviation of the yaw once it is set, beside that of the field; raised, next "
+        "readings turn it more.",
     )  # fmt: skip
 
 
@@ -195,8 +198,8 @@ def corrected(fields: Fields, correction: dict[str, Array]) -> Fields:
 def aligning(
     q: Wandering, fields: Fields, attitude: Array, P: Covariance, reading: Array, known: Array
 ) -> tuple[Fields, Covariance, Array]:
-    """Where the yaw is not set and the reading is as expected, the turn `(3, *L)` about up that sets it, and P
-    with a yaw that is as sure as the settings say and owes nothing to any other state."""
+    """Where the yaw is not set and the reading is as expected, the turn `(3, *L)` about up that sets it, and
+    P with a yaw that is as sure as the settings say and owes nothing to any other state."""
     seen = matvec(attitude, reading - fields.iron)
     level = hypotenuse(seen[0], seen[1], small=1e-12)
     wanted = hypotenuse(fields.field[0], fields.field[1], small=1e-12)

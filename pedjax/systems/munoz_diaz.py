@@ -1,11 +1,10 @@
 """Munoz Diaz 2017: gyroscope biases from magnetic fields, for a sensor in a trouser pocket.
 
 `munoz_diaz` is the paper: Euler angles and AR(1) biases, absolute gravity and differential magnetic updates,
-each behind its detector. `munoz_diaz_twin` is the same on rotation matrices, which no phone that hangs upright
-in a pocket can bring to a singularity, with the field as a state. `pocket` is what finds the heading of real
-pockets: the velocity is bounded rather than the force gravity, hard iron is a state, and each reading of the
-field counts the less the odder it is.
-"""
+each behind its detector. `munoz_diaz_twin` is the same on rotation matrices, which no phone that hangs
+upright in a pocket can bring to a singularity, with the field as a state. `pocket` is what finds the heading
+of real pockets: the velocity is bounded rather than the force gravity, hard iron is a state, and each reading
+of the field counts the less the odder it is."""
 
 from __future__ import annotations
 

@@ -314,8 +314,9 @@ class Filter:
         self.look(differential_rows(now, before, rate, self.b, dt, noises), w, slice(3, 6))
 
     def averaged(self, now: Array, before: Array, rate: Array, dt: float, w: float) -> None:
-        """The noise of the new reading joins, and that of the old one goes. A reading of weight w has noise of its
-        own, as of R / w, beside that: w on the gyroscope's small part alone would protect from nothing."""
+        """The noise of the new reading joins, and that of the old one goes. A reading of weight w has noise
+        of its own, as of R / w, beside that: w on the gyroscope's small part alone would protect from
+        nothing."""
         old, new = self.at["n"], slice(9, 12)
         self.P = grown(self.P, [self.magnetic.noise / np.sqrt(dt)])
         newest = np.zeros(3)

@@ -1,7 +1,6 @@
-"""The pocket's systems: each form beside the naive reference, slopes beside differences, and what a pocket does
-to them."""
+"""The pocket's systems: each form beside the naive reference, slopes beside differences, and what a pocket
+does to them."""
 
-from dataclasses import replace
 from functools import cache, partial
 
 import jax
@@ -9,15 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import pedjax
 from pedjax import filtering, parameters
-from pedjax.errors import InputError
 from pedjax.filters import covariance
-from pedjax.recording import Recording, Sensor, Stream
-from pedjax.system import Signals, Status
+from pedjax.system import Signals
 from pedjax.systems import system
-from tests import tools
-from tests.filters.test_pocket_reference import EARTH, HARD_IRON, made
+from tests.filters.test_pocket_reference import EARTH, made
 from tests.reference import pocket as naive
 
 PUBLISHED, TWIN, POCKET = (system(name) for name in ("munoz_diaz", "munoz_diaz_twin", "pocket"))
@@ -150,10 +145,10 @@ def test_each_form_is_the_reference(name, form, gates):
 def pocket_settings(p):
     q = p.reference
     return naive.PocketSettings(
-        gravity=float(p.gravity), gyroscope=float(p.process.gyroscope), scale=float(p.process.gyroscope_scale),
-        force=float(p.process.accelerometer), bias=float(p.process.gyroscope_bias),
-        bias_time=float(p.process.gyroscope_bias_time), hard_iron=float(q.state.iron_walk),
-        field=float(q.state.walk), level_speed=float(p.bounded.level),
+        gravity=float(p.gravity), gyroscope=float(p.process.gyroscope),
+        scale=float(p.process.gyroscope_scale), force=float(p.process.accelerometer),
+        bias=float(p.process.gyroscope_bias), bias_time=float(p.process.gyroscope_bias_time),
+        hard_iron=float(q.state.iron_walk), field=float(q.state.walk), level_speed=float(p.bounded.level),
         vertical_speed=float(p.bounded.vertical), noise=float(q.density),
         gate_noise=float(q.odd.innovation_sigma), off_strength=float(q.odd.level),
         off_vertical=float(q.odd.vertical), unlikely=float(q.odd.innovation), change=float(q.odd.range),

@@ -1,0 +1,188 @@
+"""Phones in real pockets: the system `pocket` beside VQF, tuned on one subject and reported on the other.
+
+    python -m experiments.munoz_diaz.phones [DATA] [--out DIR]
+
+DATA is a folder with `pocket_mocap/` (default: the environment's PEDJAX_DATA). Heading errors as in
+`pockets`: the best constant rotations from both sides removed, ten seconds after each of five starts left
+out. Parameters are those that `tuning` found on the other subject (`TUNED`). The prior of a bias is the mean
+of the other subject's walks: another day, another pocket, the same phone."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+import pedjax
+from experiments.munoz_diaz import pockets
+from experiments.munoz_diaz.pockets import Trial
+from pedjax import config, parameters
+from pedjax.output import folder, write_table
+from pedjax.recording import Sensor, Stream
+from pedjax.runtime import default_cache
+
+TUNED = {"a": "pocket_tuned_b", "b": "pocket_tuned_a"}
+"""The preset with which a subject's walks are reported: tuned on the other one's."""
+
+PRIOR_SIGMA = 0.5
+"""deg/s, as VQF is given it."""
+
+KNOWN_SIGMA = 0.02
+"""deg/s, of the bias that the cameras tell."""
+
+ODD_FIELD = 8.0
+"""µT from the walk's usual field, beyond which a reading is left out where the cameras judge it."""
+
+Params = Mapping[str, Any]
+
+
+class Found(NamedTuple):
+    """Of one run: heading and total error in degrees, yaw NEES, whether it was locked out at the end, and its
+    healthy status."""
+
+    heading: float
+    total: float
+    nees: float
+    locked_out: bool
+
+
+class Variant(NamedTuple):
+    """A way to run: prior of the bias (`none`, `other` subject's mean, or as the cameras `known`) with its
+    standard deviation in deg/s, how many passes, and whether the cameras judge the readings."""
+
+    prior: str = "none"
+    sigma: float = PRIOR_SIGMA
+    passes: int = 1
+    judged: bool = False
+
+
+VARIANTS = {
+    "pocket": Variant(),
+    "pocket, prior": Variant("other"),
+    "pocket, prior 0.3": Variant("other", 0.3),
+    "pocket, two passes": Variant(passes=2),
+    "pocket, prior, two passes": Variant("other", passes=2),
+    "oracle: bias": Variant("known", KNOWN_SIGMA),
+    "oracle: gate": Variant(judged=True),
+    "oracle: bias and gate": Variant("known", KNOWN_SIGMA, judged=True),
+}
+
+
+def with_bias(params: Any, bias: np.ndarray, sigma_deg: float) -> Any:
+    """Parameters with a first bias in rad/s."""
+    given = {f"initial.prior.{axis}": float(x) for axis, x in zip("xyz", bias, strict=True)}
+    sigma = float(np.radians(sigma_deg))
+    return parameters.replace(params, {**given, "initial.bias": "given", "initial.gyroscope_bias": sigma})
+
+
+def judged_field(trial: Trial, recording: pedjax.Recording) -> pedjax.Recording:
+    """The recording without the readings that lie far from the walk's usual field, by the cameras'
+    attitude."""
+    sensor = recording.sensor("pocket")
+    assert sensor.magnetometer is not None
+    field, truth = sensor.magnetometer, trial.truth
+    assert truth.quaternion is not None
+    known = np.isfinite(truth.quaternion).all(axis=1)
+    inside = (field.time >= truth.time[known][0]) & (field.time <= truth.time[known][-1])
+    turn = Slerp(truth.time[known], Rotation.from_quat(truth.quaternion[known], scalar_first=True))
+    level = turn(field.time[inside]).apply(field.values[inside])
+    odd = np.ones(len(field.time), bool)
+    odd[inside] = np.linalg.norm(level - np.median(level, axis=0), axis=1) > ODD_FIELD
+    kept = Stream(field.time, np.where(odd[:, None], np.nan, field.values))
+    return replace(recording, sensors={"pocket": Sensor(sensor.accelerometer, sensor.gyroscope, kept)})
+
+
+def run(trial: Trial, params: Any, variant: Variant, start_s: float, prior: np.ndarray) -> Found:
+    """One walk from one start on."""
+    if variant.prior != "none":
+        bias = prior if variant.prior == "other" else pockets.bias(trial)
+        params = with_bias(params, bias, variant.sigma)
+    recording = pockets.cropped(trial, start_s)
+    if variant.judged:
+        recording = judged_field(trial, recording)
+    track = pedjax.run(recording, "pocket", params, passes=variant.passes)
+    found = pockets.errors(track.attitude, track.time, trial, start_s)
+    sigma = track.sigma["attitude"][:, 2]
+    later = track.time > track.time[0] + 10.0
+    nees = np.radians(found.heading) ** 2 * np.mean(1 / sigma[later] ** 2)
+    return Found(*found, float(nees), bool(track.status[-1] != 0))
+
+
+def params_of(subject: str, changes: Params | None = None) -> Any:
+    """Parameters with which that subject's walks are reported."""
+    params = config.resolve(config.load(TUNED[subject]))[1]
+    return parameters.replace(params, changes or {})
+
+
+def table(
+    trials: Sequence[Trial],
+    variant: Variant,
+    starts: Sequence[float] = pockets.STARTS,
+    given: Mapping[str, Any] | None = None,
+) -> np.ndarray:
+    """`Found` of every walk and start, `(trials, starts, 4)`; `given` parameters by subject instead of those
+    tuned."""
+    rows = []
+    for trial in trials:
+        params = params_of(trial.subject) if given is None else given[trial.subject]
+        prior = pockets.prior_of(trials, trial.subject)
+        rows.append([run(trial, params, variant, start, prior) for start in starts])
+    return np.array(rows, float)
+
+
+def line(name: str, trials: Sequence[Trial], found: np.ndarray) -> dict[str, Any]:
+    """Means over clean and disturbed walks, and the worst."""
+    disturbed = np.array([trial.disturbed for trial in trials])
+    heading = found[..., 0]
+    told = {
+        "method": name,
+        "clean_deg": float(heading[~disturbed].mean()),
+        "disturbed_deg": float(heading[disturbed].mean()),
+        "worst_deg": float(heading.max()),
+        "clean_start_0_deg": float(heading[~disturbed, 0].mean()),
+        "disturbed_start_0_deg": float(heading[disturbed, 0].mean()),
+        "total_clean_deg": float(found[~disturbed, :, 1].mean()),
+        "total_disturbed_deg": float(found[disturbed, :, 1].mean()),
+        "yaw_nees_median": float(np.median(found[..., 2])) if found.shape[-1] > 2 else float("nan"),
+        "locked_out": int(found[..., 3].sum()) if found.shape[-1] > 3 else 0,
+    }
+    print(*(f"{x:.2f}" if isinstance(x, float) else x for x in told.values()), sep="  ", flush=True)
+    return told
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", nargs="?", type=Path, default=os.environ.get("PEDJAX_DATA"))
+    parser.add_argument("--out", type=Path, default=Path("out/phones"))
+    parser.add_argument("--only", nargs="*", default=list(VARIANTS), help="some of the variants")
+    args = parser.parse_args()
+    if args.data is None:
+        parser.error("name the folder with the recordings, or set PEDJAX_DATA to it")
+    pedjax.configure(precision="float64", cache=default_cache())
+    out = folder(args.out)
+    trials = pockets.load(Path(args.data))
+    lines, each = [], []
+    for name, found in [
+        *pockets.baseline(trials).items(),
+        *((name, table(trials, VARIANTS[name])) for name in args.only),
+    ]:
+        lines.append(line(name, trials, found))
+        for trial, row in zip(trials, found, strict=True):
+            for start, one in zip(pockets.STARTS, row, strict=True):
+                each.append(
+                    {"method": name, "walk": trial.name, "start_s": start, "heading_deg": float(one[0])}
+                )
+    write_table(out / "phones.csv", {key: [x[key] for x in lines] for key in lines[0]})
+    write_table(out / "phones_each.csv", {key: [x[key] for x in each] for key in each[0]})
+
+
+if __name__ == "__main__":
+    main()
