@@ -92,9 +92,9 @@ def judged_field(trial: Trial, recording: pedjax.Recording) -> pedjax.Recording:
     inside = (field.time >= truth.time[known][0]) & (field.time <= truth.time[known][-1])
     turn = Slerp(truth.time[known], Rotation.from_quat(truth.quaternion[known], scalar_first=True))
     level = turn(field.time[inside]).apply(field.values[inside])
-    odd = np.ones(len(field.time), bool)
-    odd[inside] = np.linalg.norm(level - np.median(level, axis=0), axis=1) > ODD_FIELD
-    kept = Stream(field.time, np.where(odd[:, None], np.nan, field.values))
+    usual = np.zeros(len(field.time), bool)
+    usual[inside] = np.linalg.norm(level - np.median(level, axis=0), axis=1) < ODD_FIELD
+    kept = Stream(field.time[usual], field.values[usual])
     return replace(recording, sensors={"pocket": Sensor(sensor.accelerometer, sensor.gyroscope, kept)})
 
 

@@ -1,6 +1,7 @@
 """The pocket's systems: each form beside the naive reference, slopes beside differences, and what a pocket
 does to them."""
 
+from dataclasses import replace
 from functools import cache, partial
 
 import jax
@@ -8,11 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pedjax import filtering, parameters
+import pedjax
+from pedjax import filtering, parameters, prior
+from pedjax.errors import InputError
 from pedjax.filters import covariance
-from pedjax.system import Signals
+from pedjax.recording import Recording, Sensor, Stream
+from pedjax.system import Signals, Status
 from pedjax.systems import system
-from tests.filters.test_pocket_reference import EARTH, made
+from tests.filters.test_pocket_reference import EARTH, HARD_IRON, made
 from tests.reference import pocket as naive
 
 PUBLISHED, TWIN, POCKET = (system(name) for name in ("munoz_diaz", "munoz_diaz_twin", "pocket"))
@@ -192,3 +196,206 @@ def test_pocket_is_the_reference(start):
         assert wanted.latched[-1]
     assert wanted.weight.max() > 0.9
     assert wanted.weight[60:65].max() == 0
+
+
+# ---- slopes
+
+
+SLOPES = {
+    "munoz_diaz": (
+        "zero_acceleration.threshold", "process.gyroscope", "reference.density", "reference.threshold",
+    ),
+    "munoz_diaz_twin": (
+        "reference.state.deviation", "reference.state.deviation_time", "reference.state.walk",
+    ),
+    "pocket": (
+        "bounded.level", "reference.odd.innovation", "reference.odd.hold", "reference.odd.range",
+        "process.gyroscope_scale", "reference.state.iron_sigma", "initial.gyroscope_bias",
+    ),
+}  # fmt: skip
+SOFT = {
+    "munoz_diaz": {**QUIET, **GATES["soft"]},
+    "munoz_diaz_twin": {**QUIET, **GATES["soft"], "reference__state__iron": True},
+    "pocket": {**EARTHLY, "reference__density": 0.5},
+}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n == "pocket" else pytest.mark.slow) for n in SLOPES]
+)
+def test_slopes_of_the_heading_equal_differences(name):
+    """Of the mean square heading error, by detector, noise and start, in one program."""
+    of = system(name)
+    p = params(of, **SOFT[name])
+    world, walk = made(24.0, mid=True), troubled(hard_iron=True)
+    signals = Signals(*(jnp.asarray(x) for x in (walk.force, walk.rate, walk.field)))
+    inputs = of.prepare(p, {"pocket": signals}, jnp.asarray(walk.dt), 20, len(walk.dt))
+    true = jnp.asarray(world.C)
+
+    @jax.jit
+    @jax.value_and_grad
+    def loss(values):
+        q = parameters.with_leaves(p, values)
+        state = of.start(q, None, inputs.opening)
+        C = filtering.scan(of, q, None, inputs.samples, state, lambda o: o.estimate.attitude)[1]
+        turn = jnp.einsum("tij,tkj->tik", C, true)
+        angle = jnp.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1])
+        return jnp.mean((angle - angle[0]) ** 2)
+
+    values = {path: jnp.asarray(parameters.get(p, path)) for path in SLOPES[name]}
+    _, slopes = loss(values)
+    for path, x in values.items():
+        h = 1e-4 * float(x)
+        up, down = (float(loss({**values, path: x + s})[0]) for s in (h, -h))
+        assert slopes[path] != 0.0, path
+        assert slopes[path] == pytest.approx((up - down) / (2 * h), rel=2e-4, abs=1e-12), path
+
+
+# ---- what a pocket does
+
+
+def recording(force, rate, field, name="made", rate_hz=20.0):
+    time = np.arange(len(force)) / rate_hz
+    parts = (Stream(time, x) for x in (force, rate, field))
+    return Recording(name, {"pocket": Sensor(*parts)})
+
+
+def of_walk(walk, start=None, stop=None):
+    cut = slice(start, stop)
+    return recording(walk.force[cut], walk.rate[cut], walk.field[cut])
+
+
+def still(seconds, force, field, rate_hz=20.0, noise=0.01):
+    rng = np.random.default_rng(4)
+    count = round(seconds * rate_hz)
+    stirred = [np.asarray(x, float) + noise * rng.normal(size=(count, 3)) for x in (force, field)]
+    return recording(stirred[0], 1e-3 * rng.normal(size=(count, 3)), stirred[1])
+
+
+def own(name, **changes):
+    given = {k.replace("__", "."): v for k, v in changes.items()}
+    return parameters.replace(system(name).defaults(), given)
+
+
+def assert_sound(track):
+    for values in (*track.estimate.values(), *track.sigma.values()):
+        assert np.isfinite(values).all()
+
+
+def test_angles_end_at_gimbal_lock_and_the_twin_goes_on():
+    upright = still(5.0, [9.8, 0.0, 0.05], [-43.0, 3.0, 20.0])  # x up: a pitch of -90 degrees
+    found = pedjax.run(upright, "munoz_diaz")
+    assert found.status[-1] == Status.GIMBAL
+    assert not found.healthy
+    assert "angles are not defined" in found.warnings[0]
+    for name in ("munoz_diaz_twin", "pocket"):
+        track = pedjax.run(upright, name)
+        assert_sound(track)
+        assert track.status[-1] == 0
+    assert_sound(found)
+
+
+@pytest.mark.parametrize("name", ["munoz_diaz", "munoz_diaz_twin", "pocket"])
+def test_ten_minutes_at_rest_break_nothing(name):
+    track = pedjax.run(still(600.0, [0.1, 0.3, 9.79], EARTH), name)
+    assert_sound(track)
+    assert np.abs(np.degrees(track.estimate["gyroscope_bias"][-1])).max() < 0.5
+    assert np.degrees(np.abs(track.euler[-1, 2] - track.euler[20, 2])) < 5.0
+
+
+def test_slopes_are_finite_where_nothing_is_measured():
+    """No field, no force, then gimbal lock."""
+    for name in ("munoz_diaz", "munoz_diaz_twin", "pocket"):
+        of = system(name)
+        p = params(of, **({} if name == "pocket" else {**GATES["soft"]}))
+        n = 60
+        force = jnp.zeros((n, 3)).at[30:].set(jnp.asarray([9.8, 0.0, 0.0]))
+        signals = Signals(force, jnp.zeros((n, 3)), jnp.zeros((n, 3)))
+
+        @jax.jit
+        @jax.grad
+        def slope(p, of=of, signals=signals, n=n):
+            inputs = of.prepare(p, {"pocket": signals}, jnp.full(n, 0.05), 20, n)
+            state = of.start(p, None, inputs.opening)
+            C = filtering.scan(of, p, None, inputs.samples, state, lambda o: o.estimate.attitude)[1]
+            return jnp.sum(C**2 * jnp.arange(9.0).reshape(3, 3))
+
+        assert all(np.isfinite(x).all() for x in jax.tree.leaves(slope(p))), name
+
+
+def test_a_magnetometer_that_pauses_is_no_end():
+    """Readings that stop for three seconds, in a file, and altogether for a system of feet."""
+    walk = made(24.0, mid=True).walk
+    time = np.arange(len(walk.dt)) / 20.0
+    keep = (time < 8.0) | (time > 11.0)
+    whole = of_walk(walk)
+    sensor = whole.sensors["pocket"]
+    gap = replace(
+        whole, sensors={"pocket": replace(sensor, magnetometer=Stream(time[keep], walk.field[keep]))}
+    )
+    for name in ("munoz_diaz", "munoz_diaz_twin"):
+        track = pedjax.run(gap, name)
+        assert track.healthy
+        weight = track.gates["field"].weight
+        assert weight[(time > 8.6) & (time < 10.4)].max() == 0
+        assert weight[time > 11.6].min() > 0.5
+    with pytest.raises(InputError, match="no readings"):
+        pedjax.run(gap, "ma2018", sensor="pocket")
+
+
+def test_a_magnet_at_the_start_waits_and_a_lock_out_is_told():
+    walk = made(24.0, mid=True).walk
+    beside = walk.field + np.where(np.arange(len(walk.dt))[:, None] < 160, [60.0, 20.0, 0.0], 0.0)
+    earth = {k: v for k, v in EARTHLY.items() if k.endswith(("level", "down"))}
+    track = pedjax.run(recording(walk.force, walk.rate, beside), "pocket", own("pocket", **earth))
+    assert track.gates["field"].weight[:160].max() == 0
+    assert track.gates["field"].weight[170:].max() > 0.5
+    assert track.healthy
+    locked = recording(walk.force, walk.rate, walk.field * 3)
+    track = pedjax.run(locked, "pocket", own("pocket", **earth, reference__patience=10.0))
+    assert track.status[-1] == Status.LOCKED_OUT
+    assert not track.healthy
+    assert "gyroscope" in track.warnings[0]
+    assert_sound(track)
+
+
+# ---- what one walk tells the next
+
+
+def test_a_prior_and_a_second_pass_are_nearer_to_the_truth(tmp_path):
+
+    walk = made(24.0, mid=True, hard_iron=True).walk
+    earth = {k: v for k, v in EARTHLY.items() if k.endswith(("level", "down"))}
+    p = own("pocket", **earth, reference__density=0.5)
+    bias = np.deg2rad([1.5, -1.0, 2.0])
+    biased = recording(walk.force, walk.rate + bias, walk.field)
+    truth = bias + np.deg2rad([-0.1, 0.1, -0.1])
+
+    def away(track, at):
+        return np.degrees(np.linalg.norm(track.estimate["gyroscope_bias"][at] - truth))
+
+    first = pedjax.run(biased, "pocket", p)
+    assert away(first, -1) < 0.3
+    told = prior.prior_of(first)
+    assert np.allclose(
+        [told.gyroscope_bias.x, told.gyroscope_bias.z], first.estimate["gyroscope_bias"][-1][[0, 2]]
+    )
+    prior.write(tmp_path / "prior.toml", told)
+    assert prior.read(tmp_path / "prior.toml") == told
+    second = pedjax.run(biased, "pocket", prior.with_prior(p, told))
+    again = pedjax.run(biased, "pocket", p, passes=2)
+    for track in (second, again):
+        assert away(track, 20) < 0.3 < away(first, 20)
+    assert np.linalg.norm(again.more["hard_iron"][20] - HARD_IRON) < 1.5
+
+
+def test_a_prior_for_a_foot_and_for_nobody():
+
+    told = prior.Prior(prior.Known(x=0.01, sigma=0.001, drift=0.002))
+    p = prior.with_prior(system("iez").defaults(), told)
+    assert (p.initial.bias, p.initial.prior.x) == ("given", 0.01)
+    assert p.initial.gyroscope_bias == pytest.approx(np.hypot(0.001, 0.002))
+    with pytest.raises(InputError, match="cannot be given a first bias"):
+        prior.changes(system("iez").defaults().stance, told)
+    with pytest.raises(InputError, match="not be negative"):
+        prior.Known(sigma=-1.0)
