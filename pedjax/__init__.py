@@ -22,8 +22,8 @@ avoid_wrong_sums()
 
 __all__ = [
     "SYSTEMS", "Augment", "Inertial", "InputError", "Landmarks", "Need", "Recording", "Scenario", "Score",
-    "ScoreKind", "Sensor", "Simulated", "Stream", "Sweep", "System", "Track", "Truth", "TuneSettings", "Tuned",
-    "__version__", "aided", "configure", "design", "evaluate", "inertial", "landmark_errors", "read",
+    "ScoreKind", "Sensor", "Simulated", "Stream", "Sweep", "System", "Track", "Truth", "TuneSettings",
+    "Tuned", "__version__", "aided", "configure", "design", "evaluate", "inertial", "landmark_errors", "read",
     "register_aid", "register_field_detector", "register_loss", "register_stance_detector", "register_system",
     "roc", "run", "simulate", "split", "sweep", "system", "tune",
 ]  # fmt: skip

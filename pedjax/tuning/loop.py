@@ -86,8 +86,8 @@ class Tuned:
     `held_back` (name to the `loss`), the `history` (a row per check: iteration, best and all starts' losses),
     how many filter runs it took (one parameter set over all that is tuned on is one), and fingerprints.
 
-    Disturbed copies count in `history` and in the choice of the winner; `before` and `after` are of recordings
-    alone, as they were measured."""
+    Disturbed copies count in `history` and in the choice of the winner; `before` and `after` are of
+    recordings alone, as they were measured."""
 
     params: Any
     names: tuple[str, ...]
