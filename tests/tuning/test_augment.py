@@ -218,6 +218,7 @@ def test_tuning_uses_copies_and_reports_only_recordings(made):
         near = [walk, *copies_of([walk], asked)]
         tracks = [pedjax.run(r, "toy_pocket", poor, site=site) for r in near]
         errors = [pedjax.evaluate(t, r).heading_rms_deg for t, r in zip(tracks, near, strict=True)]
+        assert max(errors[1:]) > 1.5 * errors[0]
         assert found.history[0][side][0] == pytest.approx(np.mean(errors), rel=0.05)
 
 
