@@ -15,15 +15,15 @@ from pedjax.sources import read_any as read
 from pedjax.sweeping import Sweep, design, sweep
 from pedjax.system import Need, System
 from pedjax.systems import SYSTEMS, register_system, system
-from pedjax.tuning import Tuned, TuneSettings, split, tune
+from pedjax.tuning import Augment, Tuned, TuneSettings, split, tune
 from pedjax.version import __version__
 
 avoid_wrong_sums()
 
 __all__ = [
-    "SYSTEMS", "Inertial", "InputError", "Landmarks", "Need", "Recording", "Scenario", "Score", "ScoreKind",
-    "Sensor", "Simulated", "Stream", "Sweep", "System", "Track", "Truth", "TuneSettings", "Tuned",
-    "__version__", "aided", "configure", "design", "evaluate", "inertial", "landmark_errors", "read",
+    "SYSTEMS", "Augment", "Inertial", "InputError", "Landmarks", "Need", "Recording", "Scenario", "Score",
+    "ScoreKind", "Sensor", "Simulated", "Stream", "Sweep", "System", "Track", "Truth", "TuneSettings",
+    "Tuned", "__version__", "aided", "configure", "design", "evaluate", "inertial", "landmark_errors", "read",
     "register_aid", "register_field_detector", "register_loss", "register_stance_detector", "register_system",
     "roc", "run", "simulate", "split", "sweep", "system", "tune",
 ]  # fmt: skip

@@ -29,7 +29,7 @@ from pedjax.system import System
 from pedjax.systems import assembled
 from pedjax.systems import system as find_system
 from pedjax.tables import filled, loaded
-from pedjax.tuning import TuneSettings
+from pedjax.tuning import Augment, TuneSettings
 from pedjax.walks import sensor_names
 
 
@@ -114,6 +114,9 @@ def load(*paths: str | Path) -> Config:
             if key in raw:
                 flatten = parameters.flatten if key == "parameters" else dict
                 raw[key] = {**merged.get(key, {}), **flatten(raw[key])}
+        tables = [section.get("tune", {}).get("augment") for section in (merged, raw)]
+        if all(isinstance(table, dict) for table in tables):
+            raw["tune"]["augment"] = tables[0] | tables[1]
         for key in ("tuned_on", "plugins"):
             raw[key] = tuple(dict.fromkeys([*merged.get(key, ()), *raw.get(key, ())]))
         merged |= raw
@@ -263,6 +266,11 @@ def tune_settings(config: Config) -> TuneSettings:
     given.setdefault("seed", config.seed)
     if config.alignment != "auto":
         given.setdefault("alignment", config.alignment)
+    table = given.get("augment", {})
+    if not isinstance(table, Mapping):
+        raise InputError(f"{config.origin}: tune.augment must be a table, as in tune.augment.copies = 2")
+    table = {"seed": config.seed, **table}
+    given["augment"] = filled(Augment, table, config.origin, "tune.augment.")
     return filled(TuneSettings, given, config.origin, "tune.")
 
 

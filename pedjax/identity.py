@@ -18,6 +18,11 @@ def fingerprint(recording: Recording) -> str:
     return fingerprint_of(streams(recording))
 
 
+def walk_fingerprint(recording: Recording) -> str:
+    """The fingerprint of the walk: for a disturbed copy that of the recording it was made of."""
+    return recording.copy_of or fingerprint(recording)
+
+
 def streams(recording: Recording) -> dict[str, str]:
     """A short hash of each stream, by 'sensor.kind'; times count from the recording's first sample."""
     given = {

@@ -100,7 +100,8 @@ class Truth:
 @dataclass(frozen=True)
 class Unchecked:
     """All that is said of one walk. `truths` holds, by sensor, the truth of those beside the one that `truth`
-    belongs to, in the same frame."""
+    belongs to, in the same frame. `copy_of` is the fingerprint of the recording of which this is a disturbed
+    copy to tune on; empty for all that was recorded."""
 
     name: str
     sensors: Mapping[str, Sensor]
@@ -110,3 +111,4 @@ class Unchecked:
     format: str = "arrays"
     notes: tuple[str, ...] = ()
     truths: Mapping[str, Truth] = field(default_factory=dict)
+    copy_of: str = ""

@@ -199,6 +199,8 @@ def tune(args: argparse.Namespace) -> int:
         held += [recordings[i] for i in second]
         paths, recordings = [paths[i] for i in first], [recordings[i] for i in first]
     refuse_overlap(config.tuned_on, held)  # the given parameters may have been tuned on them already
+    copies = settings.augment.copies
+    beside = f" and {copies} disturbed copies of each" if copies else ""
     with tqdm(total=settings.iterations, unit="step", disable=not sys.stderr.isatty()) as bar:
 
         def progress(iteration: int, total: int, best: float) -> None:
@@ -217,7 +219,7 @@ def tune(args: argparse.Namespace) -> int:
         config,
         tuned.params,
         tuned.fingerprints,
-        f"tuned by pedjax {__version__} on {len(recordings)} recordings: {', '.join(settings.names)}",
+        f"tuned by pedjax {__version__} on {len(recordings)} recordings{beside}: {', '.join(settings.names)}",
     )
     write_toml(out / "config.toml", resolved(config, params, tune=_tune_section(settings)))
     entries = []

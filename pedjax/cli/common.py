@@ -35,6 +35,9 @@ def configured(args: argparse.Namespace) -> Config:
         config = replace(config, split=args.split)
     if getattr(args, "names", None):
         config = replace(config, tune={**config.tune, "names": list(args.names)})
+    if getattr(args, "augment", None) is not None:
+        table = {**config.tune.get("augment", {}), "copies": args.augment}
+        config = replace(config, tune={**config.tune, "augment": table})
     if args.no_figures:
         config = replace(config, figures=False)
     if getattr(args, "calibration", None):

@@ -82,6 +82,9 @@ def _parser() -> argparse.ArgumentParser:
         "--split", type=float, metavar="PART", help="tune on this part of the recordings, hold back the rest"
     )
     tune.add_argument("--names", metavar="PATH", nargs="+", help="the parameters to tune")
+    tune.add_argument(
+        "--augment", type=int, metavar="N", help="tune also on N copies of each recording, with magnets added"
+    )
     sweep = commands.add_parser(
         "sweep", parents=both, help="errors of many parameter sets, kept as they come"
     )

@@ -20,15 +20,17 @@ from pedjax.errors import InputError, suggest
 from pedjax.evaluation.landmarks import ALIGNMENTS
 from pedjax.evaluation.scores import score_kind
 from pedjax.gates import SoftGate
-from pedjax.identity import fingerprint
+from pedjax.identity import walk_fingerprint
 from pedjax.kernels.columns import on_gpu
 from pedjax.packing import Batches, pack_all
 from pedjax.parameters import Spec
 from pedjax.recording import Clock, Recording
 from pedjax.runtime import double_precision
 from pedjax.system import System
+from pedjax.systems import SYSTEMS
 from pedjax.systems import system as find_system
-from pedjax.tuning import objective
+from pedjax.tuning import augment, objective
+from pedjax.tuning.augment import Augment
 from pedjax.tuning.judging import Judge
 from pedjax.tuning.split import refuse_overlap
 from pedjax.walks import Sensors, distinct
@@ -50,7 +52,9 @@ class TuneSettings:
     operating point of a detector that is among the names (0: none); `width` of the soft gate; `patience`
     checks without a better loss before stopping; `validation` part of the tuned-on recordings that gives no
     gradients: stop and winner are chosen by the hard-gate mean over those and the others together; `mode`
-    of differentiation, reverse or forward (auto: what is faster on this kind of device).
+    of differentiation, reverse or forward (auto: what is faster on this kind of device); `augment` disturbed
+    copies of each recording, for systems that look at the magnetic field. A copy is on the side of its
+    recording: both give gradients, or both only help to choose.
     """
 
     names: tuple[str, ...]
@@ -69,6 +73,7 @@ class TuneSettings:
     patience: int = 4
     mode: str = "auto"
     seed: int = 0
+    augment: Augment = field(default_factory=Augment)
 
     def __post_init__(self) -> None:
         names = (self.names,) if isinstance(self.names, str) else self.names
@@ -79,7 +84,10 @@ class TuneSettings:
 class Tuned:
     """What tuning found: `params`, hard-gate loss of each recording `before` and `after` for `tuned_on` and
     `held_back` (name to the `loss`), the `history` (a row per check: iteration, best and all starts' losses),
-    how many filter runs it took (one parameter set over all tuned-on recordings is one), and fingerprints."""
+    how many filter runs it took (one parameter set over all that is tuned on is one), and fingerprints.
+
+    Disturbed copies count in `history` and in the choice of the winner; `before` and `after` are of
+    recordings alone, as they were measured."""
 
     params: Any
     names: tuple[str, ...]
@@ -119,16 +127,20 @@ def tune(
 ) -> Tuned:
     """Tune the named parameters on recordings, report hard-gate errors on them and on held-back ones.
 
-    Runs in float64. A held-back recording that is also tuned on is an `InputError`.
+    Runs in float64. A held-back recording that is also tuned on is an `InputError`. Disturbed copies
+    (`settings.augment`) are made of `recordings` alone and never reported: they help to choose the
+    parameters, and the errors told are those of walks as they were measured.
     """
     chosen = find_system(system)
     params = chosen.defaults() if params is None else params
     specs = _check(settings, params)
-    prints = tuple(fingerprint(r) for r in recordings)
+    _check_magnetic(settings, chosen)
+    prints = tuple(walk_fingerprint(r) for r in recordings)
     refuse_overlap(prints, held_back)
-    walks = walks_for(chosen, params, recordings, sensor, clock, settings.loss)
+    copies = augment.copies_of(recordings, settings.augment)
+    walks = walks_for(chosen, params, [*recordings, *copies], sensor, clock, settings.loss)
     others = walks_for(chosen, params, held_back, sensor, clock, settings.loss)
-    training, validation = _part(len(walks), settings)
+    training, validation = _part(len(recordings), settings)
     problem = Problem(chosen, settings.loss, settings.alignment)
     with double_precision():
         hard = parameters.cast(gated(params, 0.0), float)
@@ -140,7 +152,7 @@ def tune(
         search = _Search(problem, settings, specs, hard, judged, batches, (training, validation))
         best = search.run(progress)
         tuned = parameters.with_leaves(params, best)
-        parts = {"tuned_on": (distinct([w.name for w in walks]), judged)}
+        parts = {"tuned_on": (distinct([r.name for r in recordings]), judged)}
         if others:
             held = Judge(problem, hard, settings.names, pack(others), 1)
             parts["held_back"] = (distinct([w.name for w in others]), held)
@@ -200,16 +212,29 @@ def _check(settings: TuneSettings, params: Any) -> dict[str, Spec]:
         value = getattr(settings, name)
         if not isinstance(value, int | float) or not low <= value <= high:
             raise InputError(f"tune.{name} = {value!r} must lie between {low:g} and {high:g}")
+    augment.check(settings.augment)
     return {name: known[name] for name in settings.names}
 
 
+def _check_magnetic(settings: TuneSettings, system: System) -> None:
+    if settings.augment.copies and not system.magnetic:
+        magnetic = ", ".join(s.name for s in SYSTEMS.values() if s.magnetic)
+        raise InputError(
+            f"tune.augment.copies = {settings.augment.copies}: the system '{system.name}' does not use a "
+            f"magnetometer, and magnets change nothing; set it to 0, or choose another --system ({magnetic})"
+        )
+
+
 def _part(count: int, settings: TuneSettings) -> tuple[list[int], list[int]]:
-    """Tuned-on recordings that give gradients (all, where few), and those that only help to choose."""
+    """Tuned-on recordings that give gradients (all, where few), and those that only help to choose, each with
+    its own disturbed copies."""
     size = round(settings.validation * count)
     if size < 1 or count - size < 1:
-        return list(range(count)), []
+        size = 0
     order = np.random.default_rng(settings.seed + 1).permutation(count)
-    return sorted(order[size:].tolist()), sorted(order[:size].tolist())
+    training, validation = (sorted(part.tolist()) for part in (order[size:], order[:size]))
+    sides = partial(augment.with_copies, count=count, augment=settings.augment)
+    return sides(training), sides(validation)
 
 
 def starts(specs: Mapping[str, Spec], params: Any, settings: TuneSettings) -> dict[str, np.ndarray]:
@@ -356,10 +381,10 @@ def _clip_each(limit: float) -> optax.GradientTransformation:
 def _report(
     names: tuple[str, ...], parts: Mapping[str, tuple[list[str], Judge]], params: Any
 ) -> dict[str, dict[str, float]]:
-    """Hard-gate loss of every recording."""
+    """Hard-gate loss of every recording that has a label; disturbed copies, behind them, have none."""
     values = {n: np.array([float(parameters.get(params, n))]) for n in names}
     report = {}
     for part, (labels, judged) in parts.items():
         each = judged(values)[0]
-        report[part] = {label: float(x) for label, x in zip(labels, each, strict=True)}
+        report[part] = {label: float(x) for label, x in zip(labels, each[: len(labels)], strict=True)}
     return report

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pedjax.errors import InputError
-from pedjax.identity import fingerprint
+from pedjax.identity import walk_fingerprint
 from pedjax.recording import Recording
 
 
@@ -17,12 +17,12 @@ def split(
     """Indices of the recordings to tune on (that `fraction` of them) and of those held back.
 
     Sorted by name, then shuffled by the seed: the order of the command line does not matter, and the same
-    walk twice lands on one side.
+    walk twice, or a disturbed copy of it, lands on one side.
     """
     if not 0 < fraction < 1:
         raise InputError(f"the fraction to tune on is {fraction:g}; it must lie between 0 and 1")
     groups: dict[str, list[int]] = {}
-    prints = [fingerprint(recording) for recording in recordings]
+    prints = [walk_fingerprint(recording) for recording in recordings]
     for i in sorted(range(len(recordings)), key=lambda i: (recordings[i].name, prints[i])):
         groups.setdefault(prints[i], []).append(i)
     distinct = list(groups.values())
@@ -35,9 +35,15 @@ def split(
 
 
 def refuse_overlap(tuned_on: Sequence[str], held_back: Sequence[Recording]) -> None:
-    """Refuse to report a held-back error for a recording that was tuned on (by fingerprint)."""
+    """Refuse to report a held-back error for a recording that was tuned on, itself or as a disturbed copy (by
+    fingerprint), and for any disturbed copy: nobody measured what it holds."""
     for recording in held_back:
-        if fingerprint(recording) in tuned_on:
+        if recording.copy_of:
+            raise InputError(
+                f"{recording.name} is a disturbed copy: its error is no held-back error; hold back the "
+                "recording it was made of"
+            )
+        if walk_fingerprint(recording) in tuned_on:
             raise InputError(
                 f"{recording.name} was tuned on: its error is no held-back error; take it off one list"
             )

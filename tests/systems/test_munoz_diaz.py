@@ -245,7 +245,7 @@ def test_slopes_of_the_heading_equal_differences(name):
     values = {path: jnp.asarray(parameters.get(p, path)) for path in SLOPES[name]}
     _, slopes = loss(values)
     for path, x in values.items():
-        h = 1e-4 * float(x)
+        h = 1e-5 * float(x)
         up, down = (float(loss({**values, path: x + s})[0]) for s in (h, -h))
         assert slopes[path] != 0.0, path
         assert slopes[path] == pytest.approx((up - down) / (2 * h), rel=2e-4, abs=1e-12), path
