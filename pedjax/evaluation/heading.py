@@ -28,7 +28,9 @@ def heading_rms(attitude: Array, reference: Reference) -> Array:
     true, known = reference.attitude, reference.oriented
     assert true is not None
     assert known is not None
-    error = turn_about_up(jnp.moveaxis(attitude, 0, 2), jnp.moveaxis(true, 0, 2))
+    attitude, true = jnp.moveaxis(attitude, 0, 2), jnp.moveaxis(true, 0, 2)
+    # where nothing is known there may be no rotation either, and then no slope
+    error = turn_about_up(jnp.where(known > 0, attitude, true), true)
     known = known * jnp.ones_like(error)
     # from one known point to the next, over what is unknown between them
     place = jnp.arange(len(error)).reshape(-1, *(1,) * (error.ndim - 1))

@@ -18,6 +18,7 @@ from pedjax.recording import Recording, Sensor, Stream
 
 _SWING = 0.4  # of each of the two swings of a magnet that comes by hand: together up to 53 degrees to a side
 _PERIOD = (4.0, 12.0)  # s, of a swing
+_BEFORE = 10.0  # magnets before the recording begins, after which it may begin beside one
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def disturbed(recording: Recording, augment: Augment, copy_number: int) -> Recor
     Such a magnet is one that moves with the body, at the sensor's own place: each has a random direction and
     strength, comes within `rise` s, stays a while and goes. Half of them are fixed to the body, as when a
     phone slides to a clasp in its pocket; the direction of the others turns slowly, as when a hand holds
-    headphones near it. Each sensor has its own. A copy begins without a magnet. What it is not: the iron of a
+    headphones near it. Each sensor has its own. A copy may begin beside a magnet. What it is not: the iron of a
     building, which stays where it is while the walk passes it (what the recording met of that is still in the
     copy), nor a magnetometer at the end of its range.
 
@@ -141,14 +142,14 @@ def magnets(time: np.ndarray, augment: Augment, rng: np.random.Generator) -> np.
     """The field `(T, 3)` of magnets that come and go, in body axes, at ascending `time (T,)` s."""
     field = np.zeros((len(time), 3))
     half = 0.5 * augment.rise
-    end = float(time[0])
+    end = float(time[0]) - _BEFORE * (augment.on + augment.off)
     while True:
         begin = end + augment.rise + rng.exponential(augment.off - augment.rise)
         end = begin + augment.rise + rng.exponential(augment.on - augment.rise)
         if begin - half >= time[-1]:
             return field
         first, last = np.searchsorted(time, [begin - half, end + half])
-        now = time[first:last]
+        now = time[first:last]  # empty for those that were gone before
         strength = augment.low * (augment.high / augment.low) ** rng.uniform()
         rises = _ramp(now - begin, augment.rise) * _ramp(end - now, augment.rise)
         field[first:last] += (strength * rises)[:, None] * _directions(now - begin, rng)

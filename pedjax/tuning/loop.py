@@ -98,10 +98,23 @@ class Tuned:
     runs: dict[str, int]
     fingerprints: tuple[str, ...] = field(repr=False)
     loss: str = "armse"
+    lost: int = 0
+    """Slopes of one start by one parameter that were no numbers, and so moved nothing."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Why the tuned values may not suit other recordings."""
+        return (*self._of_slopes(), *self._of_others())
+
+    def _of_slopes(self) -> tuple[str, ...]:
+        if not self.lost:
+            return ()
+        return (
+            f"{self.lost} slopes were no numbers and moved nothing: the filter fails at some of the values "
+            "tried; start from others, or tune fewer parameters (--names)",
+        )
+
+    def _of_others(self) -> tuple[str, ...]:
         if "held_back" not in self.before:
             return ("nothing was held back, so nobody knows what these values do elsewhere: try --split 0.7",)
         before, after = (np.mean(list(part["held_back"].values())) for part in (self.before, self.after))
@@ -167,6 +180,7 @@ def tune(
             runs=search.runs,
             fingerprints=prints,
             loss=settings.loss,
+            lost=search.lost,
         )
 
 
@@ -268,6 +282,7 @@ class _Search:
         self.training, self.validation = parts
         self.history: list[dict[str, Any]] = []
         self.runs = {"gradients": 0, "hard": 0}
+        self.lost = 0
 
     def compiled(self, free: Mapping[str, Any]) -> Callable[[dict[str, Any]], dict[str, Any]]:
         """The gradient by the free numbers. It is compiled while the first hard runs go on: by the time it is
@@ -344,7 +359,9 @@ class _Search:
                     break
             gradient = gradient_of(free)
             self.runs["gradients"] += settings.starts
-            gradient = {n: jnp.where(jnp.isfinite(g), g, 0.0) for n, g in gradient.items()}
+            sound = {n: jnp.isfinite(g) for n, g in gradient.items()}
+            self.lost += sum(int(np.sum(~np.asarray(ok))) for ok in sound.values())
+            gradient = {n: jnp.where(sound[n], g, 0.0) for n, g in gradient.items()}
             updates, state = optimiser.update(gradient, state)
             free = {n: np.asarray(free[n] + updates[n]) for n in free}
             if iteration == settings.iterations // 2:

@@ -116,3 +116,12 @@ def test_the_slope_equals_differences_and_is_finite_without_an_error(true, rng):
     value, slope = jax.value_and_grad(heading_rms)(still, reference(np.asarray(still)))
     assert float(value) == 0.0
     assert np.isfinite(slope).all()
+
+
+def test_the_slope_is_finite_forward_where_points_are_padding(true):
+    """Padding has no rotation, and its attitude may be all zeros."""
+    some = np.concatenate([true[:-5], np.full((5, 3, 3), np.nan)])
+    found = jnp.asarray(np.nan_to_num(some))
+    value, slope = jax.jvp(lambda x: heading_rms(x, reference(some)), (found,), (jnp.ones_like(found),))
+    assert np.isfinite(value)
+    assert np.isfinite(slope)
