@@ -209,13 +209,15 @@ def _of_gate(name: str, gate: Gate, walk: Walk) -> list[str]:
     """What looks wrong with the gate that bounds the drift."""
     role, time = next(iter(walk.sensors)), walk.imu.time
     if not gate.open.any():
-        return [f"no {name} at all: raise the detector's threshold, or is the sensor on the {role}?"]
+        place = "in the pocket" if role == "pocket" else f"on the {role}"
+        return [f"no {name} at all: raise the detector's threshold, or is the sensor {place}?"]
     notes = []
     edges = np.concatenate([[0], np.flatnonzero(gate.open), [len(time) - 1]])
     gaps = np.diff(time[edges])
     if gaps.max() > _LONG_GAP:
         start = time[edges[int(gaps.argmax())]]
-        notes.append(f"{gaps.max():.1f} s without {name} from {start:.1f} s on: the position drifts there")
+        drifts = "heading" if name == "field" else "position"
+        notes.append(f"{gaps.max():.1f} s without {name} from {start:.1f} s on: the {drifts} drifts there")
     if name == "stance" and gate.open.mean() > 0.97:
         notes.append("still almost all the time: lower the detector's threshold, or nobody walked")
     return notes
