@@ -72,13 +72,13 @@ def recordings_of(trials: Sequence[pockets.Trial], copies: int) -> list[pedjax.R
 
 
 def tuned(
-    trials: Sequence[pockets.Trial], subject: str, copies: int = COPIES, iterations: int = 30, seed: int = 0
+    trials: Sequence[pockets.Trial], subject: str, copies: int = COPIES, iterations: int = 40, seed: int = 0
 ) -> pedjax.Tuned:
     """Of one subject's walks alone."""
     own = [trial for trial in trials if trial.subject == subject]
     settings = pedjax.TuneSettings(
-        names=NAMES, loss="heading_rms", alignment="none", iterations=iterations, starts=3, spread=0.5, grid=0,
-        width=0.0 + 0.25, validation=0.0, check_every=5, seed=seed,
+        names=NAMES, loss="heading_rms", alignment="none", iterations=iterations, starts=1, spread=0.5, grid=0,
+        width=0.25, validation=0.0, check_every=5, seed=seed,
     )  # fmt: skip
     return pedjax.tune(
         recordings_of(own, copies),
@@ -95,7 +95,7 @@ def main() -> None:
     parser.add_argument("data", nargs="?", type=Path, default=os.environ.get("PEDJAX_DATA"))
     parser.add_argument("--subject", choices=("a", "b"), action="append")
     parser.add_argument("--copies", type=int, default=COPIES)
-    parser.add_argument("--iterations", type=int, default=30)
+    parser.add_argument("--iterations", type=int, default=40)
     parser.add_argument("--out", type=Path, default=Path("out/pocket_tuning"))
     args = parser.parse_args()
     if args.data is None:
