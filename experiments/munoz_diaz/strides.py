@@ -2,11 +2,10 @@
 
     python -m experiments.munoz_diaz.strides [DATA] [--out DIR]
 
-Strides are those of `detectors.swing` at its default threshold, with no parameter chosen here. The cameras' are
-peaks of the optical swing by one fixed rule (prominence 8 degrees); how that count itself moves with the rule is
-told beside. Lengths of steps by three models (constant, affine in the swing, Weinberg), fitted on one subject's
-walks and used on the other's.
-"""
+Strides are those of `detectors.swing` at its default threshold, with no parameter chosen here. The cameras'
+are peaks of the optical swing by one fixed rule (prominence 8 degrees); how that count itself moves with the
+rule is told beside. Lengths of steps by three models (constant, affine in the swing, Weinberg), fitted on one
+subject's walks and used on the other's."""
 
 from __future__ import annotations
 

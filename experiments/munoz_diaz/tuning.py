@@ -2,11 +2,10 @@
 
     python -m experiments.munoz_diaz.tuning [DATA] [--subject a] [--out DIR]
 
-Each subject alone: the parameters found on a are for b's walks, and those found on b for a's (`phones`). Tuned on
-are the four walks from several starts, and disturbed copies of them; nothing of the other subject is looked at.
-The loss is the RMS of the heading from ten seconds after the start on, the best constant taken off, at no
-prior of the bias. Writes `pocket_tuned_a.toml` or `pocket_tuned_b.toml`.
-"""
+Each subject alone: the parameters found on a are for b's walks, and those found on b for a's (`phones`).
+Tuned on are the four walks from several starts, and disturbed copies of them; nothing of the other subject is
+looked at. The loss is the RMS of the heading from ten seconds after the start on, the best constant taken
+off, at no prior of the bias. Writes `pocket_tuned_a.toml` or `pocket_tuned_b.toml`."""
 
 from __future__ import annotations
 
@@ -59,8 +58,8 @@ def scored_late(recording: pedjax.Recording) -> pedjax.Recording:
 
 
 def recordings_of(trials: Sequence[pockets.Trial], copies: int) -> list[pedjax.Recording]:
-    """Walks and their disturbed copies, each from every start; the magnets of a copy stay where they are as the
-    start moves."""
+    """Walks and their disturbed copies, each from every start; the magnets of a copy stay where they are as
+    the start moves."""
     found = []
     for trial in trials:
         for number in range(copies + 1):
@@ -77,8 +76,8 @@ def tuned(
     """Of one subject's walks alone."""
     own = [trial for trial in trials if trial.subject == subject]
     settings = pedjax.TuneSettings(
-        names=NAMES, loss="heading_rms", alignment="none", iterations=iterations, starts=1, spread=0.5, grid=0,
-        width=0.25, validation=0.0, check_every=5, seed=seed,
+        names=NAMES, loss="heading_rms", alignment="none", iterations=iterations, starts=1, spread=0.5,
+        grid=0, width=0.25, validation=0.0, check_every=5, seed=seed,
     )  # fmt: skip
     return pedjax.tune(
         recordings_of(own, copies),

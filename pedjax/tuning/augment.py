@@ -75,9 +75,9 @@ def disturbed(recording: Recording, augment: Augment, copy_number: int) -> Recor
     Such a magnet is one that moves with the body, at the sensor's own place: each has a random direction and
     strength, comes within `rise` s, stays a while and goes. Half of them are fixed to the body, as when a
     phone slides to a clasp in its pocket; the direction of the others turns slowly, as when a hand holds
-    headphones near it. Each sensor has its own. A copy may begin beside a magnet. What it is not: the iron of a
-    building, which stays where it is while the walk passes it (what the recording met of that is still in the
-    copy), nor a magnetometer at the end of its range.
+    headphones near it. Each sensor has its own. A copy may begin beside a magnet. What it is not: the iron of
+    a building, which stays where it is while the walk passes it (what the recording met of that is still in
+    the copy), nor a magnetometer at the end of its range.
 
     Truth, landmarks, times and gaps stay, and so does all that is inertial, but for a `bias` that was asked
     for. The same seed, name and number give the same copy to the bit, another number an independent one.

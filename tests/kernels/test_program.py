@@ -58,7 +58,10 @@ CHOICES = {
         {"reference.form": "anchored", "zero_acceleration.rows": "vector"},
     ],
     "munoz_diaz_twin": [{}, {"reference.state.iron": True, "steps.model": "weinberg"}],
-    "pocket": [{}, {"reference.state.start": "first", "reference.detector": "steady", "initial.bias": "rest"}],
+    "pocket": [
+        {},
+        {"reference.state.start": "first", "reference.detector": "steady", "initial.bias": "rest"},
+    ],
 }
 ALL = [pytest.param(n, c, id=f"{n}-{k}") for n, many in CHOICES.items() for k, c in enumerate(many)]
 QUICK = {"iez-0", "iez-1", "ma2018-0", "ma2018-5"}
