@@ -75,6 +75,7 @@ class Aid(NamedTuple):
 
     - `groups`: name in the tree to class of its parameters. Two aids may share a group, of one class.
     - `gate`: the name of its gate, or None. `reads`: gates that aids before it must have.
+    - `wants`: letters of the states that its filter must have.
     - `field`: whether it needs a magnetometer; `gaps`: whether it goes on where that has no readings (NaN).
     - `is_on(p)`: by settings; an aid that is off costs nothing.
     - `prepare(p, signals, dt, rate_hz, length)`: what it needs of each sample beside the signals, time first.
@@ -96,6 +97,7 @@ class Aid(NamedTuple):
     groups: tuple[tuple[str, type], ...] = ()
     gate: str | None = None
     reads: tuple[str, ...] = ()
+    wants: tuple[str, ...] = ()
     field: bool = False
     gaps: bool = False
     is_on: Callable[[Any], bool] = lambda p: True

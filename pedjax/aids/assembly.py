@@ -58,6 +58,7 @@ def aided(
     """
     aids = tuple(aids)
     _check(name, aids)
+    _check_states(name, filter, aids)
     _check_names(name, filter, aids)
     _groups_of(name, aids)
     own_values = tuple((values or {}).items())
@@ -170,6 +171,26 @@ def _groups_of(name: str, aids: Sequence[Aid]) -> tuple[tuple[str, type], ...]:
                     f"system '{name}': aids define the parameters '{path}' in two ways; leave one of them out"
                 )
     return tuple((path, latest(cls)) for path, cls in groups.items())
+
+
+_STATES = {
+    "t": "attitude (as a small rotation)",
+    "g": "gyroscope bias",
+    "p": "position",
+    "v": "velocity",
+    "a": "accelerometer bias",
+}
+
+
+def _check_states(name: str, filter: Filter, aids: Sequence[Aid]) -> None:
+    own = {letter for _, letter in filter.states}
+    for aid in aids:
+        for letter in aid.wants:
+            if letter not in own:
+                raise InputError(
+                    f"system '{name}': the aid '{aid.name}' needs the {_STATES.get(letter, letter)}, which the "
+                    f"filter '{filter.name}' does not estimate; put it on another filter (inertial has all)"
+                )
 
 
 def _check_names(name: str, filter: Filter, aids: Sequence[Aid]) -> None:

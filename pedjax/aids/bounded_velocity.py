@@ -42,5 +42,5 @@ def _step(p: Any, site: Any, state: Any, seen: Seen) -> Measured:
     return Measured(state, Rows(-v, noise, {"v": None}), moves + 0 * v[0])
 
 
-BOUNDED_VELOCITY = Aid(name="bounded_velocity", groups=(("bounded", Bounded),), step=_step)
+BOUNDED_VELOCITY = Aid(name="bounded_velocity", wants=("v",), groups=(("bounded", Bounded),), step=_step)
 """The velocity stays near zero, with a noise as wide as a pocket moves."""

@@ -214,6 +214,7 @@ def _told(p: Any, state: State, P: Covariance) -> dict[str, Array]:
 
 FIELD_REFERENCE = Aid(
     name="field_reference",
+    wants=("g",),
     groups=(("reference", Reference),),
     gate="field",
     field=True,

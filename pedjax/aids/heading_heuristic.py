@@ -167,6 +167,7 @@ def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any
 
 HEADING_HEURISTIC = Aid(
     name="heading_heuristic",
+    wants=("t", "g", "v"),
     groups=(("heuristic", Heuristic),),
     gate="straight",
     reads=("stance",),

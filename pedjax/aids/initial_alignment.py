@@ -107,6 +107,7 @@ def _nothing(p: Any, site: Any, state: Any, seen: Seen) -> Measured:
 
 INITIAL_ALIGNMENT = Aid(
     name="initial_alignment",
+    wants=("t", "g"),
     groups=MAGNETIC_HEADING.groups,
     field=True,
     is_on=_is_on,
@@ -163,6 +164,7 @@ def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any
 
 START_CHECK = Aid(
     name="start_check",
+    wants=("t", "g"),
     groups=MAGNETIC_HEADING.groups,
     reads=("stance", "field"),
     field=True,

@@ -358,6 +358,7 @@ def _after(p: Any, state: State, by: str, correction: dict[str, Array], nav: Any
 
 MAGNETIC_HEADING = Aid(
     name="magnetic_heading",
+    wants=("t", "g", "v"),
     groups=(("field", detectors.FieldParameters), ("compass", Compass)),
     gate="field",
     reads=("stance",),
@@ -381,6 +382,7 @@ def _rate_step(p: Any, site: Any, state: Any, seen: Seen) -> Measured:
 
 FIELD_RATE = Aid(
     name="field_rate",
+    wants=("g",),
     groups=(("compass", Compass),),
     reads=("stance", "field"),
     field=True,

@@ -145,6 +145,7 @@ after it, too, mean errors in six made offices change by 0 to 4 cm, none for the
 
 ZERO_VELOCITY = Aid(
     name="zero_velocity",
+    wants=("v",),
     groups=(("stance", stance.StanceParameters), ("gate", Gate), ("updates", Updates)),
     gate="stance",
     prepare=_prepare,
@@ -162,6 +163,7 @@ def _rate_step(p: Any, site: Any, state: Any, seen: Seen) -> Measured:
 
 ZERO_ANGULAR_RATE = Aid(
     name="zero_angular_rate",
+    wants=("g",),
     groups=(("updates", Updates),),
     reads=("stance",),
     is_on=lambda p: p.updates.zaru,

@@ -10,6 +10,7 @@ import pedjax
 from pedjax import parameters
 from pedjax.aids import (
     FIELD_RATE,
+    GRAVITY_UPDATE,
     HEADING_HEURISTIC,
     MAGNETIC_HEADING,
     ZERO_ANGULAR_RATE,
@@ -19,6 +20,7 @@ from pedjax.aids import (
     aided,
 )
 from pedjax.errors import InputError
+from pedjax.filters.euler import EULER
 from pedjax.filters.inertial import INERTIAL
 from pedjax.filters.kalman import Rows
 from pedjax.lanes import eye
@@ -324,3 +326,10 @@ def test_an_aid_sees_of_others_only_what_was_before_it():
     assert (float(output.gates["shut"].weight), float(output.gates["shut"].log_ratio)) == (0.0, 0.0)  # off
     assert list(output.sigma) == list(tools.ERROR_STATES)
     assert set(after.aids) == {"a", "b", "c"}
+
+
+def test_an_aid_on_a_filter_that_lacks_its_state_is_refused():
+    with pytest.raises(InputError, match=r"'zero_velocity' needs the velocity, which the filter 'euler'"):
+        aided("feet-in-pockets", EULER, (ZERO_VELOCITY,))
+    with pytest.raises(InputError, match=r"'magnetic_heading' needs the attitude"):
+        aided("compass-in-pockets", EULER, (GRAVITY_UPDATE, MAGNETIC_HEADING._replace(reads=())))
