@@ -23,6 +23,7 @@ from pedjax import config, parameters
 from pedjax.output import folder, write_json, write_toml
 from pedjax.runtime import default_cache
 from pedjax.streams import Truth
+from pedjax.systems import system
 from pedjax.tuning import Augment, disturbed
 
 NAMES = (
@@ -44,6 +45,8 @@ STARTS = (0.0, 10.0, 20.0)
 MAGNETS = Augment(low=15.0, high=150.0, on=4.0, off=10.0, iron=9.0, seed=7)
 COPIES = 2
 SETTLES_S = 10.0
+PATIENT = {"reference.patience": 1e6}
+"""A run that is locked out counts as unhealthy, and that as an infinite loss; here its error counts."""
 
 
 def scored_late(recording: pedjax.Recording) -> pedjax.Recording:
@@ -79,10 +82,12 @@ def tuned(
         names=NAMES, loss="heading_rms", alignment="none", iterations=iterations, starts=1, spread=0.5,
         grid=0, width=0.25, validation=0.0, check_every=5, seed=seed,
     )  # fmt: skip
+    params = parameters.replace(system("pocket").defaults(), PATIENT)
     return pedjax.tune(
         recordings_of(own, copies),
         settings,
         "pocket",
+        params,
         progress=lambda i, n, best: print(i, n, best, flush=True),
     )
 

@@ -187,9 +187,10 @@ def _check_states(name: str, filter: Filter, aids: Sequence[Aid]) -> None:
     for aid in aids:
         for letter in aid.wants:
             if letter not in own:
+                what = _STATES.get(letter, letter)
                 raise InputError(
-                    f"system '{name}': the aid '{aid.name}' needs the {_STATES.get(letter, letter)}, which the "
-                    f"filter '{filter.name}' does not estimate; put it on another filter (inertial has all)"
+                    f"system '{name}': the aid '{aid.name}' needs the {what}, which the filter "
+                    f"'{filter.name}' does not estimate; put it on another filter (inertial has all)"
                 )
 
 
