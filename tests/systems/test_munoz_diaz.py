@@ -111,13 +111,15 @@ GATES = {
         "reference__detector": "steady", "reference__threshold": 1.0, "reference__width": 0.5,
         "zero_acceleration__width": 0.4,
     },
-}  # fmt: skip FAST = {("munoz_diaz", "differential", "hard"), ("munoz_diaz_twin", "iron", "soft")} SOFTLY =
-{("munoz_diaz", "differential"), *(("munoz_diaz_twin", f) for f in ("moving average", "anchored", "iron"))}
+}  # fmt: skip
+FAST = {("munoz_diaz", "differential", "hard"), ("munoz_diaz_twin", "iron", "soft")}
+SOFTLY = {("munoz_diaz", "differential")} | {
+    ("munoz_diaz_twin", form) for form in ("moving average", "anchored", "iron")
+}
 CASES = [
     pytest.param(*case, id="-".join(case), marks=() if case in FAST else pytest.mark.slow)
     for case in [(s, f, g) for s in ("munoz_diaz", "munoz_diaz_twin") for f in FORMS for g in GATES]
     if case[2] == "hard" or case[:2] in SOFTLY
-]
 ]
 
 
