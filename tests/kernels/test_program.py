@@ -71,8 +71,10 @@ SOME_SLOW = [p if p.id in QUICK else pytest.param(*p.values, id=p.id, marks=pyte
 def prepared(name, changes, length=50):
     found = system(name)
     p = parameters.cast(parameters.replace(found.defaults(), changes), jnp.float64)
-    p = parameters.with_leaves(p, {"stance.shoe.threshold": jnp.asarray(1e6)})
-    inputs = found.prepare(p, *tools.signals(length, 3, jnp.float64), 100.0)
+    if "stance.shoe.threshold" in parameters.specs(p):
+        p = parameters.with_leaves(p, {"stance.shoe.threshold": jnp.asarray(1e6)})
+    sensors, dt = tools.signals(length, 3, jnp.float64)
+    inputs = found.prepare(p, {found.needs[0].role: sensors["foot"]}, dt, 100.0)
     return p, found.start(p, None, inputs.opening), inputs.samples
 
 
