@@ -7,6 +7,7 @@ the inner scan goes over a block of samples and hands out what stands at its end
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ from pedjax.errors import InputError
 from pedjax.preparing import prepare
 from pedjax.recording import Recording
 from pedjax.system import Output, System
-from pedjax.walks import check_walk
+from pedjax.walks import Walk, check_walk
 from pedjax.walks import walk as as_walk
 
 EVERY = 100  # samples
@@ -27,8 +28,8 @@ EVERY = 100  # samples
 
 class Told(NamedTuple):
     """At `time (K,)` s, the end of each block, of R recordings: the gyroscope's `bias (K, 3, R)` and its
-    `sigma`, rad/s, the `attitude (K, 3, 3, R)` body to navigation, the `position (K, 3, R)` m; of each gate the
-    mean `weight (K, R)` over the block; `status (K, R)`, the first so far that is not healthy; and `more`
+    `sigma`, rad/s, the `attitude (K, 3, 3, R)` body to navigation, the `position (K, 3, R)` m; of each gate
+    the mean `weight (K, R)` over the block; `status (K, R)`, the first so far that is not healthy; and `more`
     of what the system says beside, by name, `(K, ..., R)`."""
 
     time: np.ndarray
@@ -51,14 +52,22 @@ class Inputs(NamedTuple):
 
 
 def inputs(
-    system: System, params: Any, recordings: Sequence[Recording], every: int = EVERY, least: int = 1
+    system: System,
+    params: Any,
+    recordings: Sequence[Recording],
+    every: int = EVERY,
+    least: int = 1,
+    lost: np.ndarray | None = None,
 ) -> Inputs:
     """The inputs of recordings of equal length; what is left over at the end is cut off.
 
-    With fewer than `least` recordings the last one fills up the lanes, so that one program serves all."""
+    With fewer than `least` recordings the last one fills up the lanes, so that one program serves all. At the
+    samples `lost (T,)` the magnetometer has no reading."""
     dtype = jnp.result_type(float)
     params = parameters.cast(params, dtype)
     walks = [as_walk(r, None, None, needs=system.needs) for r in recordings]
+    if lost is not None:
+        walks = [_without(w, lost) for w in walks]
     if len({len(w) for w in walks}) != 1:
         raise InputError("recordings in lanes need one length")
     for w in walks:
@@ -78,6 +87,13 @@ def inputs(
     samples = jax.tree.map(lambda x: x.reshape(blocks, every, *x.shape[1:]), samples)
     opening = jax.tree.map(lambda *x: np.stack(x, axis=-1), *openings)
     return Inputs(samples, opening, walks[0].imu.time[every - 1 : end : every])
+
+
+def _without(w: Walk, lost: np.ndarray) -> Walk:
+    imu = w.imu
+    assert imu.magnetic_field is not None
+    field = np.where(lost[:, None], np.nan, imu.magnetic_field)
+    return replace(w, sensors={next(iter(w.sensors)): replace(imu, magnetic_field=field)})
 
 
 def _fill(whole: np.ndarray, part: np.ndarray, to: slice) -> None:

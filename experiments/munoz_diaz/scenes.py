@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +10,6 @@ import numpy as np
 from experiments.munoz_diaz import lanes
 from experiments.munoz_diaz.emulated import BIAS, Along, Back, Emulated, Place, emulated
 from pedjax import parameters
-from pedjax.recording import Recording, Stream
 from pedjax.systems import system
 
 LANES = 4
@@ -20,7 +18,7 @@ LANES = 4
 SPREADS = {"0.57": np.radians(0.57), "0.039": np.radians(0.039)}
 """Standard deviation of the first bias, rad/s: a unit that nobody calibrated, and a good one."""
 
-COMMON: dict[str, Any] = {"zero_acceleration.sigma": 5.5, "zero_acceleration.threshold": 0.3}
+COMMON: dict[str, Any] = {"zero_acceleration.sigma": 20.0, "zero_acceleration.threshold": 0.3}
 """What is not printed. The force of a moment within 0.3 m/s² of 9.8 is off gravity by 2 m/s² along the
 thigh's x (12 degrees of pitch), and for a few samples on end alike: sums over 10 s spread as if each sample
 had 5.5 m/s² of its own."""
@@ -52,18 +50,7 @@ class Scene(NamedTuple):
     rounds: int = 3
 
     def made(self, seed: int) -> Emulated:
-        made = emulated(seed, self.place, self.along, self.back, self.length, self.rounds)
-        return made._replace(recording=without(made.recording, made.crossing)) if self.skips else made
-
-
-def without(recording: Recording, lost: np.ndarray) -> Recording:
-    """The recording with no reading of the field at those samples."""
-    sensor = recording.sensors["pocket"]
-    field = sensor.magnetometer
-    assert field is not None
-    values = np.where(lost[:, None], np.nan, field.values)
-    changed = replace(sensor, magnetometer=Stream(field.time, values))
-    return replace(recording, sensors={**recording.sensors, "pocket": changed})
+        return emulated(seed, self.place, self.along, self.back, self.length, self.rounds)
 
 
 class Ready:
@@ -72,6 +59,7 @@ class Ready:
     def __init__(self, scene: Any, seeds: Sequence[int]) -> None:
         self.seeds = tuple(seeds)
         self._made = [scene.made(seed) for seed in seeds]
+        self._lost = self._made[0].crossing if getattr(scene, "skips", False) else None
         self._kept: dict[Any, list[lanes.Inputs]] = {}
         some = slice(lanes.EVERY - 1, None, lanes.EVERY)
         self.attitude = self._made[0].exact.attitude[some]
@@ -85,8 +73,9 @@ class Ready:
         if key not in self._kept:
             self._kept.clear()  # a walk of 20 seeds takes most of a gigabyte
             self._kept[key] = [
-                lanes.inputs(chosen, tree, [m.recording for m in self._made[k : k + LANES]], least=LANES)
+                lanes.inputs(chosen, tree, [m.recording for m in some], least=LANES, lost=self._lost)
                 for k in range(0, len(self._made), LANES)
+                if (some := self._made[k : k + LANES])
             ]
         parts = [lanes.run(chosen, tree, given, more) for given in self._kept[key]]
         count = len(self._made)
@@ -97,14 +86,14 @@ class Ready:
         first = parts[0]
         gates = {name: joined(*(p.weight[name] for p in parts)) for name in first.weight}
         told = {name: joined(*(p.more[name] for p in parts)) for name in first.more}
-        rest = (joined(*x) for x in zip(*(p[1:5] for p in parts), strict=True))
+        bias, sigma, attitude, position = (joined(*x) for x in zip(*(p[1:5] for p in parts), strict=True))
         status = joined(*(p.status for p in parts))
-        return lanes.Told(first.time, *rest, gates, status, told)
+        return lanes.Told(first.time, bias, sigma, attitude, position, gates, status, told)
 
 
 class Measured(NamedTuple):
-    """Of the bias along z of each run `(R,)`: `sure` min, when the filter's own deviation falls under 0.02 deg/s,
-    `reach` when the estimate comes to -0.08, `settle` from when it stays within 0.02 of the truth (infinite
+    """Of the bias along an axis of each run `(R,)`: `sure` min, when the filter's own deviation falls under
+    0.02 deg/s, `reach` when the estimate comes to -0.08, `settle` from when it stays within 0.02 of the truth (infinite
     where it never does), the bias at the `end`, deg/s, and the mean squared error in units of the
     covariance, `nees`, after the first minute."""
 
