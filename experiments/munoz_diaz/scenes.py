@@ -33,19 +33,16 @@ class Variant(NamedTuple):
     def with_(self, **changes: Any) -> Variant:
         return self._replace(changes={**self.changes, **changes})
 
-    def tree(self, **changes: Any) -> Any:
-        chosen = system(self.system).defaults()
-        return parameters.replace(chosen, {**COMMON, **self.changes, **changes})
+    def tree(self) -> Any:
+        return parameters.replace(system(self.system).defaults(), {**COMMON, **self.changes})
 
 
 class Scene(NamedTuple):
-    """A walk: the field, where the first leg leads, whether all are on one line, and whether the samples at
-    which another post becomes the nearest have no reading (`skips`)."""
+    """A walk: the field, where the first leg leads, and whether all legs are on one line."""
 
     place: Place
     along: Along = "east"
     back: Back = "same"
-    skips: bool = False
     length: float = 500.0
     rounds: int = 3
 
@@ -59,21 +56,22 @@ class Ready:
     def __init__(self, scene: Any, seeds: Sequence[int]) -> None:
         self.seeds = tuple(seeds)
         self._made = [scene.made(seed) for seed in seeds]
-        self._lost = self._made[0].crossing if getattr(scene, "skips", False) else None
         self._kept: dict[Any, list[lanes.Inputs]] = {}
         some = slice(lanes.EVERY - 1, None, lanes.EVERY)
         self.attitude = self._made[0].exact.attitude[some]
         self.place = self._made[0].exact.position[some] - self._made[0].exact.position[0]
         self.bias = np.stack([m.bias[some] for m in self._made], axis=-1)  # (K, 3, R)
 
-    def run(self, variant: Variant, more: Sequence[str] = (), **changes: Any) -> lanes.Told:
-        """A variant over all seeds."""
-        chosen, tree = system(variant.system), variant.tree(**changes)
-        key = (tree.reference.form == "none", tree.initial.levelling_s, tree.reference.window_s)
+    def run(self, variant: Variant, more: Sequence[str] = (), skips: bool = False) -> lanes.Told:
+        """A variant over all seeds; with `skips`, the samples at which another post becomes the nearest have
+        no reading."""
+        chosen, tree = system(variant.system), variant.tree()
+        key = (tree.reference.form == "none", tree.initial.levelling_s, skips)
         if key not in self._kept:
+            lost = self._made[0].crossing if skips else None
             self._kept.clear()  # a walk of 20 seeds takes most of a gigabyte
             self._kept[key] = [
-                lanes.inputs(chosen, tree, [m.recording for m in some], least=LANES, lost=self._lost)
+                lanes.inputs(chosen, tree, [m.recording for m in some], least=LANES, lost=lost)
                 for k in range(0, len(self._made), LANES)
                 if (some := self._made[k : k + LANES])
             ]
@@ -93,9 +91,9 @@ class Ready:
 
 class Measured(NamedTuple):
     """Of the bias along an axis of each run `(R,)`: `sure` min, when the filter's own deviation falls under
-    0.02 deg/s, `reach` when the estimate comes to -0.08, `settle` from when it stays within 0.02 of the truth (infinite
-    where it never does), the bias at the `end`, deg/s, and the mean squared error in units of the
-    covariance, `nees`, after the first minute."""
+    0.02 deg/s, `reach` when the estimate comes to -0.08, `settle` from when it stays within 0.02 of the
+    truth (infinite where it never does), the bias at the `end`, deg/s, and the mean squared error in units of
+    the covariance, `nees`, after the first minute."""
 
     sure: np.ndarray
     reach: np.ndarray

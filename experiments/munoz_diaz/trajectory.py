@@ -65,7 +65,7 @@ class Walked(NamedTuple):
 
 
 class Found(NamedTuple):
-    """A run, the true `bias (K, 3, R)` in rad/s, the yaw's error `(K, R)` deg, and the true `place (K, 3)` m."""
+    """A run, the true `bias (K, 3, R)` in rad/s, the yaw's error `(K, R)` and true `place (K, 3)` m."""
 
     told: Told
     bias: np.ndarray
@@ -93,7 +93,7 @@ def everything(seeds: range, **size: Any) -> dict[Key, Found]:
                 continue
             more = ("hard_iron",) if variant is WALKED else ()
             for spread, sigma in SPREADS.items():
-                told = ready.run(variant, more, **{"initial.gyroscope_bias": float(sigma)})
+                told = ready.run(variant.with_(**{"initial.gyroscope_bias": float(sigma)}), more)
                 yaw = yaw_error(told, ready.attitude)
                 found[name, spread] = Found(told, ready.bias, yaw, ready.place)
     return found
