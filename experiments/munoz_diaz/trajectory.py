@@ -6,6 +6,7 @@ the field as a state, which may estimate the hard iron while walking. The soft i
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,8 +31,8 @@ from experiments.table import Row, row
 from pedjax.output import write_figure, write_table
 from pedjax.runtime import double_precision
 
-STEP = 0.92
-"""m: half of the strides that were taken on seeds 0 to 5, at 1.76 m/s."""
+STEP = 0.857
+"""m, of a step at 1.76 m/s, by the distance and the strides on seeds 0 and 1."""
 UNIT = {
     "process.gyroscope_bias": float(MTW_WANDER * np.sqrt(2 / MTW_TIME)),
     "steps.length": STEP,
@@ -42,12 +43,17 @@ PUBLISHED = Variant("munoz_diaz", UNIT)
 GRAVITY = PUBLISHED.with_(**{"reference.form": "none"})
 STATE = Variant("munoz_diaz_twin", UNIT)
 WALKED = STATE.with_(**{"reference.state.iron": True, "reference.state.iron_sigma": 40.0})
+SOFT = {"reference.state.deviates": True}
+"""Soft iron, which turns with the body, passed off as a deviation of the field: 1.5 µT for 3 s as the package
+has it, 0.5 µT for what a calibration leaves."""
 RUNS: dict[str, tuple[Iron, Variant]] = {
     "gravity only": ("calibrated", GRAVITY),
     "published, calibrated": ("calibrated", PUBLISHED),
     "state, calibrated": ("calibrated", STATE),
+    "state, calibrated, deviation": ("calibrated", STATE.with_(**SOFT, **{"reference.state.deviation": 0.5})),
     "published, raw": ("raw", PUBLISHED),
     "state, raw, hard iron while walking": ("raw", WALKED),
+    "state, raw, hard iron and deviation": ("raw", WALKED.with_(**SOFT)),
     "published, no iron": ("none", PUBLISHED),
     "state, no iron": ("none", STATE),
 }
@@ -84,14 +90,14 @@ def run(seeds: range, out: Path) -> list[Row]:
     return _rows(found)
 
 
-def everything(seeds: range, **size: Any) -> dict[Key, Found]:
+def everything(seeds: range, names: Collection[str] = tuple(RUNS), **size: Any) -> dict[Key, Found]:
     found = {}
     for iron in ("calibrated", "raw", "none"):
         ready = Ready(Walked(iron, **size), seeds)
         for name, (own, variant) in RUNS.items():
-            if own != iron:
+            if own != iron or name not in names:
                 continue
-            more = ("hard_iron",) if variant is WALKED else ()
+            more = ("hard_iron",) if "reference.state.iron" in variant.changes else ()
             for spread, sigma in SPREADS.items():
                 told = ready.run(variant.with_(**{"initial.gyroscope_bias": float(sigma)}), more)
                 yaw = yaw_error(told, ready.attitude)

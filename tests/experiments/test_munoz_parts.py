@@ -67,7 +67,7 @@ def test_what_is_measured_of_a_bias():
 
 
 def test_a_reading_where_posts_change_is_none():
-    size = {"length": 100.0, "rounds": 1}
+    size = {"length": 100.0, "rounds": 2}
     ready = Ready(Scene("street", **size), SEEDS)
     weight = {s: ready.run(biases.TWIN, skips=s).weight["field"] for s in (False, True)}
     lost = emulated(SEEDS[0], "street", **size).crossing.sum()
@@ -77,7 +77,8 @@ def test_a_reading_where_posts_change_is_none():
 
 @pytest.fixture(scope="module")
 def short_tracks():
-    return trajectory.everything(range(3, 5), length=30.0, rounds=2)
+    names = ("gravity only", "state, no iron", "state, raw, hard iron while walking")
+    return trajectory.everything(range(3, 5), names, length=30.0, rounds=2)
 
 
 def test_tracks_go_the_way_that_was_walked(short_tracks):

@@ -15,6 +15,6 @@ def test_a_deviation_does_not_tell_of_the_yaw():
     for deviation in (zero, level):
         fields = Fields(down, deviation, zero, one)
         rows = wandering_field.rows(Wandering(), fields, attitude, attitude.T @ (down + deviation), one)
-        assert np.abs(rows.z).max() < 1e-12
+        assert np.abs(rows.innovation).max() < 1e-12
         assert np.abs(rows.H["t"][:, 2]).max() == 0
         assert np.abs(rows.H["t"][:, :2]).max() > 1
