@@ -209,8 +209,8 @@ def _write(found: dict[Key, Found], out: Path) -> None:
 
 
 def _traces(found: dict[Key, Found], spread: str) -> Figure:
-    names = ("gravity only", "published, raw", "published, calibrated", "state, calibrated",
-             "state, raw, hard iron while walking")  # fmt: skip
+    names = ("gravity only", "published, raw", "published, calibrated", "state, calibrated, deviation",
+             "state, raw, hard iron and deviation")  # fmt: skip
     figure = Figure(figsize=(3.6 * len(names), 3.2), layout="constrained")
     for ax, name in zip(figure.subplots(1, len(names)), names, strict=True):
         each = found[name, spread]
@@ -234,8 +234,8 @@ def _tracks(found: dict[Key, Found], spread: str, lane: int = 0) -> Figure:
     shown = {
         "gravity only": "C2",
         "published, calibrated": "m",
-        "state, calibrated": "C0",
-        "state, raw, hard iron while walking": "C1",
+        "state, calibrated, deviation": "C0",
+        "state, raw, hard iron and deviation": "C1",
     }
     for ax, which in zip(figure.subplots(1, 2), ("first round", "all"), strict=True):
         for name, colour in shown.items():

@@ -66,6 +66,7 @@ def test_what_is_measured_of_a_bias():
     assert np.degrees(BIAS[2]) == pytest.approx(-0.1)
 
 
+@pytest.mark.slow
 def test_a_reading_where_posts_change_is_none():
     size = {"length": 100.0, "rounds": 2}
     ready = Ready(Scene("street", **size), SEEDS)
@@ -81,6 +82,7 @@ def short_tracks():
     return trajectory.everything(range(3, 5), names, length=30.0, rounds=2)
 
 
+@pytest.mark.slow
 def test_tracks_go_the_way_that_was_walked(short_tracks):
     assert np.abs(short_tracks["state, no iron", "0.039"].yaw[-1]).max() < 5
     each = short_tracks["gravity only", "0.039"]
@@ -89,6 +91,7 @@ def test_tracks_go_the_way_that_was_walked(short_tracks):
     assert np.linalg.norm(each.told.position[k, :2], axis=0).max() < 20
 
 
+@pytest.mark.slow
 def test_hard_iron_is_told_while_walking(short_tracks):
     iron = short_tracks["state, raw, hard iron while walking", "0.57"].told.more["hard_iron"]
     assert np.linalg.norm(iron[-1]) > 10
