@@ -172,10 +172,15 @@ def evolved(q: Wandering, fields: Fields, P: Covariance, dt: Array) -> tuple[Fie
 
 
 def rows(q: Wandering, fields: Fields, attitude: Array, reading: Array, sigma: Array) -> Rows:
-    """The `reading (3, *L)` µT of standard deviation `sigma (*L)` against h + Ĉᵀ (B + d)."""
+    """The `reading (3, *L)` µT of standard deviation `sigma (*L)` against h + Ĉᵀ (B + d).
+
+    The slope on t has B alone: d is in the axes of the attitude as it is estimated. All its directions are
+    alike, so that it may be, and an estimate of d, which comes and goes, cannot pass for a direction that
+    tells of the yaw: with B + d a filter at a pole believed in a bias that was wrong by a hundred sigmas.
+    """
     field = fields.field + fields.deviation
     back = transpose(attitude)
-    H: dict[str, Array | None] = {"t": matmul(back, skew(field)), "m": back}
+    H: dict[str, Array | None] = {"t": matmul(back, skew(fields.field)), "m": back}
     if q.deviates:
         H["d"] = back
     if q.iron:

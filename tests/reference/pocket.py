@@ -369,6 +369,9 @@ class Filter:
             self.magnetic.noise,
             dt,
         )
+        # The deviation is in the axes of the attitude as estimated: an error of that turns the field of the
+        # place against them, not the deviation, of which every direction is alike.
+        rows = rows._replace(H=known_rows(self.C, now, self.own["B"], self.magnetic.noise, dt).H)
         slopes = {"B": self.C.T, "d": self.C.T, "h": ONE}
         H = np.hstack([onto(self.chart, self.C, rows.H), *(slopes[name] for name in self.at)])
         self.look(rows._replace(H=H), w, slice(0, 3), *self.at.values())
