@@ -29,20 +29,17 @@ from pedjax.tuning import Augment, disturbed
 NAMES = (
     "process.gyroscope",
     "process.gyroscope_bias",
-    "process.accelerometer",
     "bounded.level",
-    "initial.gyroscope_bias",
     "reference.density",
-    "reference.odd.level",
-    "reference.odd.vertical",
     "reference.odd.innovation",
     "reference.odd.innovation_sigma",
-    "reference.odd.range",
     "reference.odd.hold",
     "reference.state.walk",
 )
+"""Not the bounds of strength, dip and range: tuned with thirteen parameters, those shrank to 3 to 4
+microtesla on one subject, and locked the other's walks out."""
 STARTS = (0.0, 10.0, 20.0)
-MAGNETS = Augment(low=15.0, high=150.0, on=4.0, off=10.0, iron=9.0, seed=7)
+MAGNETS = Augment(low=15.0, high=150.0, on=4.0, off=10.0, iron=9.0, bias=float(np.radians(0.5)), seed=7)
 COPIES = 2
 SETTLES_S = 10.0
 PATIENT = {"reference.patience": 1e6}
@@ -74,13 +71,13 @@ def recordings_of(trials: Sequence[pockets.Trial], copies: int) -> list[pedjax.R
 
 
 def tuned(
-    trials: Sequence[pockets.Trial], subject: str, copies: int = COPIES, iterations: int = 40, seed: int = 0
+    trials: Sequence[pockets.Trial], subject: str, copies: int = COPIES, iterations: int = 20, seed: int = 0
 ) -> pedjax.Tuned:
     """Of one subject's walks alone."""
     own = [trial for trial in trials if trial.subject == subject]
     settings = pedjax.TuneSettings(
         names=NAMES, loss="heading_rms", alignment="none", iterations=iterations, starts=1, spread=0.5,
-        grid=0, width=0.25, validation=0.0, check_every=5, seed=seed,
+        grid=0, width=0.25, validation=0.25, check_every=5, seed=seed,
     )  # fmt: skip
     params = parameters.replace(system("pocket").defaults(), PATIENT)
     return pedjax.tune(
@@ -99,7 +96,7 @@ def main() -> None:
     parser.add_argument("data", nargs="?", type=Path, default=os.environ.get("PEDJAX_DATA"))
     parser.add_argument("--subject", choices=("a", "b"), action="append")
     parser.add_argument("--copies", type=int, default=COPIES)
-    parser.add_argument("--iterations", type=int, default=40)
+    parser.add_argument("--iterations", type=int, default=20)
     parser.add_argument("--out", type=Path, default=Path("out/pocket_tuning"))
     args = parser.parse_args()
     if args.data is None:
