@@ -18,13 +18,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 import pedjax
-from experiments.munoz_diaz.phones import TUNED
+from experiments.munoz_diaz.phones import OTHER, WAYS
 from pedjax import config, parameters
 from pedjax.output import folder, write_table
 from pedjax.runtime import default_cache
 
 DROP_S = 10.0
-PRESETS = tuple(sorted(set(TUNED.values())))
+PRESETS = tuple(f"pocket_{way}_{subject}" for way in WAYS for subject in OTHER)
 
 
 def heading_error(recording: pedjax.Recording, time: np.ndarray, attitude: np.ndarray) -> float:

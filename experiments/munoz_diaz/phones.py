@@ -4,8 +4,9 @@
 
 DATA is a folder with `pocket_mocap/` (default: the environment's PEDJAX_DATA). Heading errors as in
 `pockets`: the best constant rotations from both sides removed, ten seconds after each of five starts left
-out. Parameters are those that `tuning` found on the other subject (`TUNED`). The prior of a bias is the mean
-of the other subject's walks: another day, another pocket, the same phone."""
+out. Parameters were found on the other subject's walks with made-up magnets beside, by a search or by
+gradient (`tuning`). The prior of a bias is the mean of the other subject's walks: another day, another
+pocket, the same phone."""
 
 from __future__ import annotations
 
@@ -27,8 +28,12 @@ from pedjax.output import folder, write_table
 from pedjax.recording import Sensor, Stream
 from pedjax.runtime import default_cache
 
-TUNED = {"a": "pocket_tuned_b", "b": "pocket_tuned_a"}
-"""The preset with which a subject's walks are reported: tuned on the other one's."""
+WAYS = ("search", "gradient")
+"""How parameters were found: by a search over all of them, or by `tuning`; each on one subject's walks
+alone."""
+
+OTHER = {"a": "b", "b": "a"}
+"""On whose walks the parameters for a subject's were found."""
 
 PRIOR_SIGMA = 0.5
 """deg/s, as VQF is given it."""
@@ -54,12 +59,14 @@ class Found(NamedTuple):
 
 class Variant(NamedTuple):
     """A way to run: prior of the bias (`none`, `other` subject's mean, or as the cameras `known`) with its
-    standard deviation in deg/s, how many passes, and whether the cameras judge the readings."""
+    standard deviation in deg/s, how many passes, whether the cameras judge the readings, and how the
+    parameters were found."""
 
     prior: str = "none"
     sigma: float = PRIOR_SIGMA
     passes: int = 1
     judged: bool = False
+    way: str = "search"
 
 
 VARIANTS = {
@@ -71,6 +78,9 @@ VARIANTS = {
     "oracle: bias": Variant("known", KNOWN_SIGMA),
     "oracle: gate": Variant(judged=True),
     "oracle: bias and gate": Variant("known", KNOWN_SIGMA, judged=True),
+    "gradient: pocket": Variant(way="gradient"),
+    "gradient: prior": Variant("other", way="gradient"),
+    "gradient: two passes": Variant(passes=2, way="gradient"),
 }
 
 
@@ -114,10 +124,9 @@ def run(trial: Trial, params: Any, variant: Variant, start_s: float, prior: np.n
     return Found(*found, float(nees), bool(track.status[-1] != 0))
 
 
-def params_of(subject: str, changes: Params | None = None) -> Any:
+def params_of(subject: str, way: str) -> Any:
     """Parameters with which that subject's walks are reported."""
-    params = config.resolve(config.load(TUNED[subject]))[1]
-    return parameters.replace(params, changes or {})
+    return config.resolve(config.load(f"pocket_{way}_{OTHER[subject]}"))[1]
 
 
 def table(
@@ -130,7 +139,7 @@ def table(
     tuned."""
     rows = []
     for trial in trials:
-        params = params_of(trial.subject) if given is None else given[trial.subject]
+        params = params_of(trial.subject, variant.way) if given is None else given[trial.subject]
         prior = pockets.prior_of(trials, trial.subject)
         rows.append([run(trial, params, variant, start, prior) for start in starts])
     return np.array(rows, float)
