@@ -91,6 +91,18 @@ def with_bias(params: Any, bias: np.ndarray, sigma_deg: float) -> Any:
     return parameters.replace(params, {**given, "initial.bias": "given", "initial.gyroscope_bias": sigma})
 
 
+def _near(attitude: np.ndarray, reading: np.ndarray) -> np.ndarray:
+    """Which readings `(K, 3)` µT are within `ODD_FIELD` of hard iron and one field in navigation axes, which
+    are fitted to those that are, from the half that fits best on."""
+    terms = np.concatenate([np.broadcast_to(np.eye(3), attitude.shape), attitude.swapaxes(1, 2)], axis=2)
+    near = np.ones(len(reading), bool)
+    for _ in range(10):
+        fitted = np.linalg.lstsq(terms[near].reshape(-1, 6), reading[near].ravel(), rcond=None)[0]
+        away = np.linalg.norm(reading - terms @ fitted, axis=1)
+        near = away < max(ODD_FIELD, float(np.median(away)))
+    return away < ODD_FIELD
+
+
 def judged_field(trial: Trial, recording: pedjax.Recording) -> pedjax.Recording:
     """The recording without the readings that lie far from the walk's usual field, by the cameras'
     attitude."""
@@ -101,9 +113,8 @@ def judged_field(trial: Trial, recording: pedjax.Recording) -> pedjax.Recording:
     known = np.isfinite(truth.quaternion).all(axis=1)
     inside = (field.time >= truth.time[known][0]) & (field.time <= truth.time[known][-1])
     turn = Slerp(truth.time[known], Rotation.from_quat(truth.quaternion[known], scalar_first=True))
-    level = turn(field.time[inside]).apply(field.values[inside])
     usual = np.zeros(len(field.time), bool)
-    usual[inside] = np.linalg.norm(level - np.median(level, axis=0), axis=1) < ODD_FIELD
+    usual[inside] = _near(turn(field.time[inside]).as_matrix(), field.values[inside])
     kept = Stream(field.time[usual], field.values[usual])
     return replace(recording, sensors={"pocket": Sensor(sensor.accelerometer, sensor.gyroscope, kept)})
 
@@ -179,16 +190,14 @@ def main() -> None:
     out = folder(args.out)
     trials = pockets.load(Path(args.data))
     lines, each = [], []
-    for name, found in [
-        *pockets.baseline(trials).items(),
-        *((name, table(trials, VARIANTS[name])) for name in args.only),
-    ]:
+    known = pockets.baseline(trials)
+    for name in [*known, *args.only]:
+        found = known[name] if name in known else table(trials, VARIANTS[name])
         lines.append(line(name, trials, found))
         for trial, row in zip(trials, found, strict=True):
             for start, one in zip(pockets.STARTS, row, strict=True):
-                each.append(
-                    {"method": name, "walk": trial.name, "start_s": start, "heading_deg": float(one[0])}
-                )
+                told = {"method": name, "walk": trial.name, "start_s": start, "heading_deg": float(one[0])}
+                each.append(told)
     write_table(out / "phones.csv", {key: [x[key] for x in lines] for key in lines[0]})
     write_table(out / "phones_each.csv", {key: [x[key] for x in each] for key in each[0]})
 
