@@ -21,10 +21,11 @@ from pedjax.output import write_toml
 from pedjax.tables import filled, loaded
 
 DRIFT = math.radians(0.3)
-"""rad/s by which a phone's bias may differ from that of an earlier walk."""
+"""rad/s by which a phone's bias may differ from that of an earlier walk; for a better unit, what the run
+allowed for without knowing anything."""
 
 IRON_DRIFT = 5.0
-"""µT by which hard iron may."""
+"""µT by which hard iron may, likewise."""
 
 PASS_BIAS, PASS_IRON = 2e-3, 2.0
 """rad/s and µT: how far the second pass trusts the first, which has seen the same readings."""
@@ -53,8 +54,9 @@ class Known:
 
     @property
     def spread(self) -> float:
-        """Standard deviation of the prior that it is."""
-        return math.hypot(self.sigma, self.drift)
+        """Standard deviation of the prior that it is: the larger of both, so that it neither grows nor
+        shrinks from walk to walk."""
+        return max(self.sigma, self.drift)
 
 
 @dataclass(frozen=True)
@@ -69,11 +71,14 @@ def prior_of(track: Any) -> Prior:
     """Of the last estimates of a run."""
     if "gyroscope_bias" not in track.estimate:
         raise InputError(f"{track.name}: the system '{track.system}' estimates no gyroscope bias")
-    bias, sigma = track.estimate["gyroscope_bias"][-1], track.sigma["gyroscope_bias"][-1]
     iron = None
     if "hard_iron" in track.more and "hard_iron_sigma" in track.more:
-        iron = _known(track.more["hard_iron"][-1], track.more["hard_iron_sigma"][-1], IRON_DRIFT)
-    return Prior(_known(bias, sigma, DRIFT), iron)
+        iron = _last(track.more["hard_iron"], track.more["hard_iron_sigma"], IRON_DRIFT)
+    return Prior(_last(track.estimate["gyroscope_bias"], track.sigma["gyroscope_bias"], DRIFT), iron)
+
+
+def _last(values: np.ndarray, sigmas: np.ndarray, most: float) -> Known:
+    return _known(values[-1], sigmas[-1], min(most, float(np.max(sigmas[0]))))
 
 
 def _known(values: np.ndarray, sigmas: np.ndarray, drift: float) -> Known:
