@@ -12,7 +12,7 @@ becomes a branch for each number and keeps the loop from the vector units.
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import reduce
 from typing import Any
 
@@ -157,3 +157,13 @@ def solve(s: Array, b: Array) -> Array:
     for i in reversed(range(len(y))):
         x[i] = (y[i] - sum(lower[j][i] * x[j] for j in range(i + 1, len(y)))) / lower[i][i]
     return jnp.stack(x)
+
+
+def slopes(f: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
+    """f(x) `(m, *L)` and ∂f/∂x `(m, 3, *L)` of an `x (3, *L)` whose lanes do not mix."""
+    value = f(x)
+    columns = []
+    for k in range(3):
+        move = jnp.zeros_like(x).at[k].set(1.0)
+        columns.append(jax.jvp(f, (x,), (move,))[1])
+    return value, jnp.stack(columns, axis=1)

@@ -17,11 +17,10 @@ from jax import Array
 
 from pedjax import rotations
 from pedjax.aids.aid import Aid, Measured, Seen
-from pedjax.filters.euler import slopes
 from pedjax.filters.kalman import Rows
 from pedjax.filters.measurements import euler_block
 from pedjax.gates import SoftGate, gate, log_positive
-from pedjax.lanes import constant, eye, matmul, matmul_t, matvec, norm, transpose
+from pedjax.lanes import constant, eye, matmul, matmul_t, matvec, norm, slopes, transpose
 from pedjax.parameters import leaf, parameters, setting
 from pedjax.rotations import skew
 from pedjax.system import Gated

@@ -15,9 +15,6 @@ at 79 to 89 degrees; `orientation` is this filter for whoever has one.
 
 from __future__ import annotations
 
-from typing import Any
-
-import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -28,21 +25,11 @@ from pedjax.filters.filter import Filter, Opening, Sample
 from pedjax.filters.kalman import Rows
 from pedjax.filters.orientation import OrientationParameters, Oriented, levelled_start
 from pedjax.filters.orientation import correct as corrected
-from pedjax.lanes import dot, eye, matmul, matmul_t
+from pedjax.lanes import dot, eye, matmul, matmul_t, slopes
 from pedjax.system import Status
 
 GIMBAL = 1.4835298641951802
 """85 degrees of pitch, beyond which the angles are not trusted."""
-
-
-def slopes(f: Any, x: Array) -> tuple[Array, Array]:
-    """f(x) `(m, *L)` and ∂f/∂x `(m, 3, *L)` of an `x (3, *L)` whose lanes do not mix."""
-    value = f(x)
-    columns = []
-    for k in range(3):
-        move = jnp.zeros_like(x).at[k].set(1.0)
-        columns.append(jax.jvp(f, (x,), (move,))[1])
-    return value, jnp.stack(columns, axis=1)
 
 
 def _from(angles: Array) -> Array:

@@ -22,9 +22,8 @@ from jax import Array
 from pedjax import rotations
 from pedjax.filters import covariance, kalman
 from pedjax.filters.covariance import Covariance
-from pedjax.filters.euler import slopes
 from pedjax.filters.kalman import Rows
-from pedjax.lanes import eye, matmul, matmul_t, matvec, transpose
+from pedjax.lanes import eye, matmul, matmul_t, matvec, slopes, transpose
 from pedjax.rotations import skew
 
 
