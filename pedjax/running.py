@@ -123,8 +123,8 @@ def run(
         raise InputError(f"passes = {passes} must be 1 or 2")
     if passes == 2:
         first = run(recording, chosen, params, sensor=sensor, clock=clock, site=site)
-        if not np.isfinite(first.estimate["position"][-1]).all():
-            return first  # it has nothing to tell to a second
+        if not first.healthy:
+            return first  # it says why, and has nothing to tell to a second
         params = prior.second_pass(params, first)
     walk = as_walk(recording, sensor, clock, needs=chosen.needs)
     check_walk(chosen, params, walk)
@@ -209,6 +209,8 @@ def _of_gate(name: str, gate: Gate, walk: Walk) -> list[str]:
     """What looks wrong with the gate that bounds the drift."""
     role, time = next(iter(walk.sensors)), walk.imu.time
     if not gate.open.any():
+        if name == "field":
+            return ["no field at all: no reading was as reference.state.level and .down expect; look them up"]
         place = "in the pocket" if role == "pocket" else f"on the {role}"
         return [f"no {name} at all: raise the detector's threshold, or is the sensor {place}?"]
     notes = []

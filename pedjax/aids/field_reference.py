@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 
 from pedjax.aids.aid import Aid, Measured, Seen
 from pedjax.detectors.steady import Readings, readings
+from pedjax.errors import InputError
 from pedjax.filters import covariance, field_turn, odd_field, wandering_field
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Opening
@@ -74,7 +75,8 @@ class Reference(SoftGate):
 class State(NamedTuple):
     """The last reading `before (3, *L)` µT and whether there was one, `had (*L)`; of the moving average its
     `error (3, *L)`; of the anchored form the `anchor (3, *L)` and whether it is `held (*L)`; of the field
-    state `fields`; of the soft weight `oddness`; and for how long nothing counted, `idle (*L)` s."""
+    state `fields`; of the soft weight `oddness`; and for how long
+    readings did not count, `idle (*L)` s."""
 
     before: Array
     had: Array
@@ -95,6 +97,11 @@ def _start(
     p: Any, site: Any, opening: Opening, estimate: Any, P: Covariance
 ) -> tuple[State, Any, Covariance]:
     q: Reference = p.reference
+    if q.detector == "odd" and q.form != "state":
+        raise InputError(
+            "reference.detector = odd goes by a field that is estimated, which "
+            f"reference.form = {q.form} has not; take detector = steady, or form = state"
+        )
     zero = jnp.zeros_like(estimate.attitude[0])
     fields: Fields | tuple[()] = ()
     if q.form == "state":
@@ -133,12 +140,15 @@ def _step(p: Any, site: Any, state: State, seen: Seen) -> Measured:
     made = form(p, state, seen, look, gated)
     new: State = made.state
     gated = gated if made.gated is None else made.gated
-    idle = jnp.where(gated.weight > 0.5, 0.0, state.idle + step)
+    idle = jnp.where(gated.weight > 0.5, 0.0, state.idle + step * known)  # a pause is no lock-out
     kept = known > 0
     new = new._replace(
         before=jnp.where(kept, reading, state.before), had=jnp.where(step > 0, known, state.had), idle=idle
     )
-    status = jnp.where(idle > q.patience, Status.LOCKED_OUT, Status.HEALTHY)
+    why: Any = Status.LOCKED_OUT
+    if isinstance(new.fields, Fields):
+        why = jnp.where(new.fields.aligned > 0.5, Status.LOCKED_OUT, Status.NOT_ALIGNED)
+    status = jnp.where(idle > q.patience, why, Status.HEALTHY)
     return made._replace(state=new, gated=gated, status=status)
 
 
@@ -179,7 +189,12 @@ def _of_state(p: Any, state: State, seen: Seen, look: _Look, gated: Gated) -> Me
     attitude, correction = seen.estimate.attitude, {}
     if q.state.start == "expected":
         fields, P, turn = wandering_field.aligning(q.state, fields, attitude, P, look.reading, look.known)
-        attitude, correction = matmul(exp(turn), attitude), {"t": turn}
+        U = exp(turn)
+        attitude, correction = matmul(U, attitude), {"t": turn}
+        if hasattr(seen.estimate, "velocity"):
+            correction["v"] = matvec(U, seen.estimate.velocity) - seen.estimate.velocity
+    else:
+        fields = wandering_field.begun(fields, attitude, look.reading, look.known)
     rows = wandering_field.rows(q.state, fields, attitude, look.reading, look.sigma)
     oddness = state.oddness
     if q.detector == "odd":

@@ -83,7 +83,7 @@ class Steps(SoftGate):
 
 LENGTHS: dict[str, Callable[[Steps, Stride], Array]] = {
     "constant": lambda p, stride: p.length + 0.0 * stride.swing,
-    "affine": lambda p, stride: p.length + p.per_swing * (stride.swing - USUAL_SWING),
+    "affine": lambda p, stride: jnp.maximum(p.length + p.per_swing * (stride.swing - USUAL_SWING), 0.0),
     "weinberg": lambda p, stride: p.weinberg * jnp.sqrt(jnp.sqrt(stride.bounce + 1e-12)),
 }
 """The length `(*L)` of a step, m, by each model."""

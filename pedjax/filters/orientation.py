@@ -1,4 +1,4 @@
-"""Attitude and gyroscope bias of a body that never rests: the quaternion-like twin of Munoz Diaz's filter.
+"""Attitude and gyroscope bias of a body that never rests: the twin of Munoz Diaz's filter, without angles.
 
 C is propagated as a rotation matrix, its error is a small rotation t in navigation axes, C = exp([t×]) Ĉ, and
 g is the error of the bias: nothing is singular, whatever way a phone hangs in a pocket. `ORIENTATION` has

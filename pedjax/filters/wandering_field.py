@@ -24,7 +24,7 @@ from pedjax.filters import covariance
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Opening
 from pedjax.filters.kalman import Rows
-from pedjax.lanes import align, constant, eye, hypotenuse, matmul, matvec, transpose
+from pedjax.lanes import align, constant, eye, hypotenuse, matmul, matmul_t, matvec, transpose
 from pedjax.parameters import group, leaf, parameters, setting
 from pedjax.rotations import skew
 
@@ -93,8 +93,8 @@ class Wandering:
     iron_prior: Iron = group(Iron, when={"iron": True})
     start: str = setting(
         "first", choices=("first", "expected"), source=_KIT,
-        meaning="The first field: that of the first second, or the one looked up for the place, to which "
-        "the yaw is turned once a reading is like it.",
+        meaning="The first field: that of the levelling stretch, or the one looked up for the place, to "
+        "which the yaw is turned once a reading is like it.",
     )  # fmt: skip
     level: Array = leaf(
         22.5, unit="uT", low=0.1, high=100.0, source=f"{_KIT}: Grenoble", when={"start": "expected"},
@@ -143,18 +143,21 @@ def start(q: Wandering, opening: Opening, attitude: Array, P: Covariance) -> tup
         field = jnp.stack([zero[0], q.level + zero[0], zero[0] - q.down])
         aligned = zero[0]
     else:
-        field = matvec(attitude, _first_reading(opening, zero) - iron)
-        aligned = 1.0 + zero[0]
+        reading, known = _first_reading(opening, zero)
+        field = matvec(attitude, reading - iron)
+        aligned = known + zero[0]
     return Fields(field, zero, iron, aligned), covariance.extended(P, deviations)
 
 
-def _first_reading(opening: Opening, zero: Array) -> Array:
-    """Mean over the levelling samples that have one; zero where none has."""
+def _first_reading(opening: Opening, zero: Array) -> tuple[Array, Array]:
+    """Mean over the levelling samples that have one, and whether any has."""
     assert opening.field is not None
     known = (opening.still > 0)[:, None] & jnp.isfinite(opening.field).all(axis=1, keepdims=True)
-    count = jnp.maximum(jnp.sum(known, axis=0), 1)
-    mean = jnp.sum(jnp.where(known, opening.field, 0.0), axis=0) / count
-    return align(mean, 1, zero.ndim - 1) + zero
+    count = jnp.sum(known, axis=0)
+    mean = jnp.sum(jnp.where(known, opening.field, 0.0), axis=0) / jnp.maximum(count, 1)
+    lanes = zero.ndim - 1
+    some = align((count[0] > 0).astype(zero.dtype), 0, lanes)
+    return align(mean, 1, lanes) + zero, some
 
 
 def evolved(q: Wandering, fields: Fields, P: Covariance, dt: Array) -> tuple[Fields, Covariance]:
@@ -200,11 +203,19 @@ def corrected(fields: Fields, correction: dict[str, Array]) -> Fields:
     )
 
 
+def begun(fields: Fields, attitude: Array, reading: Array, known: Array) -> Fields:
+    """Where there was no reading to start from, the first one there is gives the field of the place."""
+    now = (known > 0) & (fields.aligned < 0.5)
+    field = jnp.where(now, matvec(attitude, reading - fields.iron), fields.field)
+    return fields._replace(field=field, aligned=jnp.where(now, 1.0, fields.aligned))
+
+
 def aligning(
     q: Wandering, fields: Fields, attitude: Array, P: Covariance, reading: Array, known: Array
 ) -> tuple[Fields, Covariance, Array]:
     """Where the yaw is not set and the reading is as expected, the turn `(3, *L)` about up that sets it, and
-    P with a yaw that is as sure as the settings say and owes nothing to any other state."""
+    P after it: errors of attitude and velocity are in navigation axes and turn with them, and the yaw is as
+    sure as the settings say and owes nothing to any other state."""
     seen = matvec(attitude, reading - fields.iron)
     level = hypotenuse(seen[0], seen[1], small=1e-12)
     wanted = hypotenuse(fields.field[0], fields.field[1], small=1e-12)
@@ -213,17 +224,18 @@ def aligning(
     turn = jnp.arctan2(fields.field[1], fields.field[0] + 1e-12) - jnp.arctan2(seen[1], seen[0] + 1e-12)
     angle = jnp.where(now, rotations.wrap(turn), 0.0)
     up = constant(np.array([0.0, 0.0, 1.0]), angle)
-    tilt = 1.0 - up
-    attitude_letter = "e" if "ee" in P else "t"
+    U, tilt = rotations.exp(angle * up), 1.0 - up
+    own = "e" if "ee" in P else "t"
     mended = {}
     for name, block in P.items():
-        cut = block
-        if name[0] == attitude_letter:
-            cut = cut * tilt[:, None]
-        if name[1] == attitude_letter:
-            cut = cut * tilt[None, :]
-        if name == 2 * attitude_letter:
-            cut = cut + q.yaw_sigma**2 * up[:, None] * up[None, :]
-        mended[name] = jnp.where(now, cut, block)
-    aligned = jnp.where(now, 1.0, fields.aligned)
-    return fields._replace(aligned=aligned), mended, angle * up
+        new = block
+        for side, letter in enumerate(name):
+            if letter in "tv":
+                new = matmul(U, new) if side == 0 else matmul_t(new, U)
+        for side, letter in enumerate(name):
+            if letter == own:
+                new = new * (tilt[:, None] if side == 0 else tilt[None, :])
+        if name == 2 * own:
+            new = new + q.yaw_sigma**2 * up[:, None] * up[None, :]
+        mended[name] = jnp.where(now, new, block)
+    return fields._replace(aligned=jnp.where(now, 1.0, fields.aligned)), mended, angle * up

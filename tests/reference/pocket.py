@@ -541,13 +541,17 @@ def alike(level: Array, field: Array, near: float) -> bool:
     return bool(abs(across) < near and abs(level[2] - field[2]) < near)
 
 
-def mended(C: Array, P: Array, level: Array, field: Array, sigma: float) -> tuple[Array, Array]:
-    """With the yaw of the field."""
+def mended(
+    C: Array, P: Array, v: Array, level: Array, field: Array, sigma: float
+) -> tuple[Array, Array, Array]:
+    """With the yaw of the field; what is in navigation axes turns with them."""
     away = wrapped(np.arctan2(field[1], field[0]) - np.arctan2(level[1], level[0]))
-    P = P.copy()
+    U, turned_ = rotation(away * UP), np.eye(15)
+    turned_[TURN, TURN], turned_[SPEED, SPEED] = U, U
+    P = turned_ @ P @ turned_.T
     P[2, :], P[:, 2] = 0.0, 0.0
     P[2, 2] = sigma**2
-    return rotation(away * UP) @ C, P
+    return U @ C, P, U @ v
 
 
 def pocket_corrected(x: Array, C: Array, v: Array, b: Array, h: Array, field: Array) -> tuple[Array, ...]:
@@ -574,7 +578,7 @@ def pocket(walk: Walk, s: PocketSettings, start: PocketStart) -> PocketRun:
             level = C @ (m - h)
             if not latched and alike(level, field, s.near):
                 latched = True
-                C, P = mended(C, P, level, field, s.yaw_sigma)
+                C, P, v = mended(C, P, v, level, field, s.yaw_sigma)
             rows = pocket_rows(C, h, field, m, s.noise, dt)
             if latched or not s.memory_waits:
                 spread = envelope.see(float(np.linalg.norm(m - h)), dt)

@@ -355,12 +355,43 @@ def test_a_magnet_at_the_start_waits_and_a_lock_out_is_told():
     assert track.gates["field"].weight[:160].max() == 0
     assert track.gates["field"].weight[170:].max() > 0.5
     assert track.healthy
-    locked = recording(walk.force, walk.rate, walk.field * 3)
-    track = pedjax.run(locked, "pocket", own("pocket", **earth, reference__patience=10.0))
-    assert track.status[-1] == Status.LOCKED_OUT
-    assert not track.healthy
-    assert "gyroscope" in track.warnings[0]
-    assert_sound(track)
+    for since, status, said in ((0, Status.NOT_ALIGNED, "aligned"), (160, Status.LOCKED_OUT, "gyroscope")):
+        field = walk.field * np.where(np.arange(len(walk.dt))[:, None] < since, 1.0, 3.0)
+        locked = recording(walk.force, walk.rate, field)
+        track = pedjax.run(locked, "pocket", own("pocket", **earth, reference__patience=10.0))
+        assert track.status[-1] == status
+        assert not track.healthy
+        assert said in track.warnings[0]
+        assert_sound(track)
+
+
+def test_what_the_yaw_was_before_it_is_set_does_not_matter():
+    """Biases are learnt before the first reading: errors in navigation axes turn with the yaw."""
+    walk = made(24.0, mid=True).walk
+    beside = walk.field + np.where(np.arange(len(walk.dt))[:, None] < 240, [60.0, 20.0, 0.0], 0.0)
+    walked = recording(walk.force, walk.rate + np.array([0.02, -0.02, 0.01]), beside)
+    earth = {k: v for k, v in EARTHLY.items() if k.endswith(("level", "down"))}
+    tracks = [pedjax.run(walked, "pocket", own("pocket", **earth, initial__heading=x)) for x in (0.3, 3.0)]
+    assert abs(tracks[0].euler[239, 2] - tracks[1].euler[239, 2]) > 1
+    for name in ("attitude", "gyroscope_bias", "velocity"):
+        a, b = (track.estimate[name][245:] for track in tracks)
+        np.testing.assert_allclose(a, b, atol=1e-6)
+
+
+def test_a_field_that_comes_late_gives_the_place():
+    walk = made(24.0, mid=True).walk
+    p = params(TWIN, **QUIET)
+    late = walk._replace(field=np.where(np.arange(len(walk.dt))[:, None] < 40, np.nan, walk.field))
+    _, _, output = run(TWIN, p, late)
+    assert output.gates["field"].weight[:40].max() == 0
+    east, north, up = output.more["reference_field"][41]  # the yaw is free
+    assert abs(np.hypot(east, north) - np.hypot(*EARTH[:2])) < 3
+    assert abs(up - EARTH[2]) < 3
+
+
+def test_odd_readings_need_a_field_that_is_estimated():
+    with pytest.raises(InputError, match=r"detector = steady, or form = state"):
+        run(TWIN, params(TWIN, reference__form="anchored", reference__detector="odd"), troubled())
 
 
 # ---- what one walk tells the next
