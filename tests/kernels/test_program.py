@@ -163,7 +163,8 @@ def test_every_primitive_of_the_systems_is_known(name, changes):
 
 
 def test_every_system_is_among_the_choices():
-    assert set(CHOICES) == {"iez", "ma2018", "aiez", "wang"}
+    ours = {"iez", "ma2018", "aiez", "wang", "munoz_diaz", "munoz_diaz_twin", "pocket"}
+    assert set(CHOICES) == ours
 
 
 def test_symmetric_matrices_are_kept_once():

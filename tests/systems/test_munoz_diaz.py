@@ -236,9 +236,7 @@ def test_slopes_of_the_heading_equal_differences(name):
     inputs = of.prepare(p, {"pocket": signals}, jnp.asarray(walk.dt), 20, len(walk.dt))
     true = jnp.asarray(world.C)
 
-    @jax.jit
-    @jax.value_and_grad
-    def loss(values):
+    def error(values):
         q = parameters.with_leaves(p, values)
         state = of.start(q, None, inputs.opening)
         C = filtering.scan(of, q, None, inputs.samples, state, lambda o: o.estimate.attitude)[1]
@@ -247,12 +245,18 @@ def test_slopes_of_the_heading_equal_differences(name):
         return jnp.mean((angle - angle[0]) ** 2)
 
     values = {path: jnp.asarray(parameters.get(p, path)) for path in SLOPES[name]}
-    _, slopes = loss(values)
+    loss = jax.jit(error)
+    if of is PUBLISHED:  # forward, which of angles compiles in a third of the time
+        along = jax.jit(lambda values, way: jax.jvp(error, (values,), (way,))[1])
+        zero = jax.tree.map(jnp.zeros_like, values)
+        slopes = {path: along(values, {**zero, path: jnp.ones_like(x)}) for path, x in values.items()}
+    else:
+        slopes = jax.jit(jax.grad(error))(values)
     for path, x in values.items():
         h = 1e-5 * float(x)
-        up, down = (float(loss({**values, path: x + s})[0]) for s in (h, -h))
+        up, down = (float(loss({**values, path: x + s})) for s in (h, -h))
         assert slopes[path] != 0.0, path
-        assert slopes[path] == pytest.approx((up - down) / (2 * h), rel=2e-4, abs=1e-12), path
+        assert slopes[path] == pytest.approx((up - down) / (2 * h), rel=2e-4, abs=1e-8), path
 
 
 # ---- what a pocket does
@@ -316,15 +320,18 @@ def test_slopes_are_finite_where_nothing_is_measured():
         force = jnp.zeros((n, 3)).at[30:].set(jnp.asarray([9.8, 0.0, 0.0]))
         signals = Signals(force, jnp.zeros((n, 3)), jnp.zeros((n, 3)))
 
-        @jax.jit
-        @jax.grad
-        def slope(p, of=of, signals=signals, n=n):
+        def error(p, of=of, signals=signals, n=n):
             inputs = of.prepare(p, {"pocket": signals}, jnp.full(n, 0.05), 20, n)
             state = of.start(p, None, inputs.opening)
             C = filtering.scan(of, p, None, inputs.samples, state, lambda o: o.estimate.attitude)[1]
             return jnp.sum(C**2 * jnp.arange(9.0).reshape(3, 3))
 
-        assert all(np.isfinite(x).all() for x in jax.tree.leaves(slope(p))), name
+        if name == "munoz_diaz":  # forward, likewise: along all parameters at once
+            ones = jax.tree.map(jnp.ones_like, p)
+            slopes = jax.jit(lambda p, ones, error=error: jax.jvp(error, (p,), (ones,))[1])(p, ones)
+        else:
+            slopes = jax.jit(jax.grad(error))(p)
+        assert all(np.isfinite(x).all() for x in jax.tree.leaves(slopes)), name
 
 
 def test_a_magnetometer_that_pauses_is_no_end():
