@@ -8,7 +8,6 @@ second pass over the same walk, which is not causal and nearly as good as knowin
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -121,17 +120,8 @@ def second_pass(params: Any, track: Any) -> Any:
         field = track.more["reference_field"][-1]
         new["reference.state.level"] = float(np.hypot(field[0], field[1]))
         new["reference.state.down"] = float(-field[2])
-    return parameters.replace(params, parameters.within(params, numbers(new)) | settings(new))
-
-
-def numbers(new: Mapping[str, Any]) -> dict[str, float]:
-    """Those of the values that are numbers."""
-    return {path: value for path, value in new.items() if isinstance(value, float)}
-
-
-def settings(new: Mapping[str, Any]) -> dict[str, Any]:
-    """Those that are not."""
-    return {path: value for path, value in new.items() if not isinstance(value, float)}
+    numbers = {path: value for path, value in new.items() if isinstance(value, float)}
+    return parameters.replace(params, {**new, **parameters.within(params, numbers)})
 
 
 def write(path: Path, prior: Prior) -> None:

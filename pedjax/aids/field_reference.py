@@ -132,9 +132,9 @@ def _step(p: Any, site: Any, state: State, seen: Seen) -> Measured:
     look = _Look(reading, known, dt, q.density / jnp.sqrt(dt) + 0 * state.idle)
     if q.detector == "steady":
         ratio = log_positive(align(own.spread, 0, lanes) + 0 * state.idle) - jnp.log(q.threshold)
+        weight = gate(ratio, q.width, q.straight_through)
     else:
-        ratio = 0 * state.idle - 1.0
-    weight = gate(ratio, q.width, q.straight_through) if q.detector == "steady" else 1.0 + 0 * state.idle
+        ratio, weight = 0 * state.idle - 1.0, 0 * state.idle + 1.0
     gated = Gated(weight * known, jnp.where(known > 0, ratio, 1.0))
     form = {"differential": _differential, "anchored": _anchored, "state": _of_state}[q.form]
     made = form(p, state, seen, look, gated)

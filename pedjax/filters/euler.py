@@ -22,6 +22,7 @@ from pedjax import rotations
 from pedjax.filters import covariance
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Filter, Opening, Sample
+from pedjax.filters.first_bias import rest_asked
 from pedjax.filters.kalman import Rows
 from pedjax.filters.orientation import OrientationParameters, Oriented, levelled_start
 from pedjax.filters.orientation import correct as corrected
@@ -106,7 +107,7 @@ EULER = Filter(
     predict=_predict,
     correct=_correct,
     states=(("attitude", "e"), ("gyroscope_bias", "g")),
-    rest_s=lambda p: p.initial.rest_s if p.initial.bias == "rest" else 0.0,
+    rest_s=rest_asked,
     rows=_rows,
     status=_status,
 )

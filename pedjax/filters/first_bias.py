@@ -3,7 +3,7 @@ it."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import jax.numpy as jnp
 from jax import Array
@@ -16,25 +16,21 @@ BIASES = ("zero", "given", "rest")
 """What the first bias of the gyroscope may be."""
 
 
+def _about(axis: str) -> Any:
+    return leaf(
+        0.0, unit="rad/s", low=-0.35, high=0.35, scale="linear", source="0: nothing is known",
+        meaning=f"First bias about the body's {axis}, with initial.gyroscope_bias as its standard deviation; "
+        "raised, as much more of the rate is taken off.",
+    )  # fmt: skip
+
+
 @parameters
 class Prior:
     """The gyroscope's bias as it is known before the walk, by body axis."""
 
-    x: Array = leaf(
-        0.0, unit="rad/s", low=-0.35, high=0.35, scale="linear", source="0: nothing is known",
-        meaning="First bias about the body's x, with initial.gyroscope_bias as its standard deviation; "
-        "raised, as much more of the rate is taken off.",
-    )  # fmt: skip
-    y: Array = leaf(
-        0.0, unit="rad/s", low=-0.35, high=0.35, scale="linear", source="0: nothing is known",
-        meaning="First bias about the body's y, with initial.gyroscope_bias as its standard deviation; "
-        "raised, as much more of the rate is taken off.",
-    )  # fmt: skip
-    z: Array = leaf(
-        0.0, unit="rad/s", low=-0.35, high=0.35, scale="linear", source="0: nothing is known",
-        meaning="First bias about the body's z, with initial.gyroscope_bias as its standard deviation; "
-        "raised, as much more of the rate is taken off.",
-    )  # fmt: skip
+    x: Array = _about("x")
+    y: Array = _about("y")
+    z: Array = _about("z")
 
 
 class Known(Protocol):
@@ -70,3 +66,8 @@ def first_bias(p: Known, rest: Rest | None, ones: Array) -> tuple[Array, Array]:
     weight, own = windows * p.gyroscope_bias**2, p.sway**2 + spread  # n P0 and s²
     bias = (own * prior + weight * align(rest.rate, 1, lanes)) / (weight + own)
     return bias * ones, p.gyroscope_bias * jnp.sqrt(own / (weight + own)) * ones
+
+
+def rest_asked(p: Any) -> float:
+    """How many seconds of rest a filter's parameters ask for: none where rest does not give the bias."""
+    return float(p.initial.rest_s) if p.initial.bias == "rest" else 0.0

@@ -16,7 +16,7 @@ from pedjax.errors import InputError
 from pedjax.filters import covariance, measurements, strapdown
 from pedjax.filters.covariance import Covariance, ProcessNoise
 from pedjax.filters.filter import Filter, Opening, Sample, still_mean
-from pedjax.filters.first_bias import BIASES, Prior, first_bias
+from pedjax.filters.first_bias import BIASES, Prior, first_bias, rest_asked
 from pedjax.filters.strapdown import Navigation
 from pedjax.lanes import align, lane_shape
 from pedjax.parameters import group, leaf, parameters, setting
@@ -236,5 +236,5 @@ INERTIAL = Filter(
         ("velocity", "v"),
         ("accelerometer_bias", "a"),
     ),
-    rest_s=lambda p: p.initial.rest_s if p.initial.bias == "rest" else 0.0,
+    rest_s=rest_asked,
 )

@@ -23,7 +23,7 @@ from pedjax.detectors.rest import Rest
 from pedjax.filters import covariance
 from pedjax.filters.covariance import Covariance
 from pedjax.filters.filter import Filter, Opening, Sample, still_mean
-from pedjax.filters.first_bias import BIASES, Prior, first_bias
+from pedjax.filters.first_bias import BIASES, Prior, first_bias, rest_asked
 from pedjax.lanes import align, constant, dot, eye, lane_shape, matmul, matvec
 from pedjax.parameters import group, leaf, parameters, setting
 from pedjax.rotations import skew
@@ -253,7 +253,7 @@ ORIENTATION = Filter(
     predict=_predict,
     correct=correct,
     states=(("attitude", "t"), ("gyroscope_bias", "g")),
-    rest_s=lambda p: p.initial.rest_s if p.initial.bias == "rest" else 0.0,
+    rest_s=rest_asked,
 )
 """Six states: attitude and gyroscope bias, from the rate alone."""
 
@@ -265,6 +265,6 @@ BOUNDED = Filter(
     predict=_predict_moving,
     correct=correct,
     states=(("attitude", "t"), ("gyroscope_bias", "g"), ("velocity", "v")),
-    rest_s=lambda p: p.initial.rest_s if p.initial.bias == "rest" else 0.0,
+    rest_s=rest_asked,
 )
 """Nine states: with the velocity, which `bounded_velocity` keeps small."""

@@ -31,22 +31,20 @@ from pedjax.rotations import skew
 _KIT = "kit choice"
 
 
+def _along(axis: str) -> Any:
+    return leaf(
+        0.0, unit="uT", low=-2000.0, high=2000.0, scale="linear", source="0: nothing is known",
+        meaning=f"First hard iron along the body's {axis}; raised, as much more of the reading is taken off.",
+    )  # fmt: skip
+
+
 @parameters
 class Iron:
     """Hard iron in body axes, as it is known before the walk."""
 
-    x: Array = leaf(
-        0.0, unit="uT", low=-2000.0, high=2000.0, scale="linear", source="0: nothing is known",
-        meaning="First hard iron along the body's x; raised, as much more of the reading is taken off.",
-    )  # fmt: skip
-    y: Array = leaf(
-        0.0, unit="uT", low=-2000.0, high=2000.0, scale="linear", source="0: nothing is known",
-        meaning="First hard iron along the body's y; raised, as much more of the reading is taken off.",
-    )  # fmt: skip
-    z: Array = leaf(
-        0.0, unit="uT", low=-2000.0, high=2000.0, scale="linear", source="0: nothing is known",
-        meaning="First hard iron along the body's z; raised, as much more of the reading is taken off.",
-    )  # fmt: skip
+    x: Array = _along("x")
+    y: Array = _along("y")
+    z: Array = _along("z")
 
 
 @parameters
